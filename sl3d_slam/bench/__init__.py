@@ -1,0 +1,1 @@
+"""One file a benchmark; peers come from the ``bench`` extra."""

@@ -1,0 +1,167 @@
+"""Every setting of a run, strict: an unknown key is an error that names it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from sl3d_slam.errors import ConfigError
+
+MAX_CONFIG_BYTES = 1_000_000
+
+
+class Settings(BaseModel):
+    """Base class: an unknown key is an error and values never change after loading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class InputSettings(Settings):
+    """How scans are read."""
+
+    min_range_m: float = Field(default=2.0, ge=0)
+    max_range_m: float = Field(default=100.0, gt=0)
+    kitti_correction: Literal["auto", "on", "off"] = "auto"
+    deskew: bool = True
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "InputSettings":
+        if self.min_range_m >= self.max_range_m:
+            raise ValueError("min_range_m must be below max_range_m")
+        return self
+
+
+class OdometrySettings(Settings):
+    """KISS-ICP."""
+
+    voxel_size_m: float = Field(default=1.0, gt=0)
+    max_points_per_voxel: int = Field(default=20, ge=1)
+
+
+class KeyframeSettings(Settings):
+    """When a new keyframe starts."""
+
+    min_distance_m: float = Field(default=3.0, gt=0)
+    min_rotation_deg: float = Field(default=20.0, gt=0)
+
+
+class LineSettings(Settings):
+    """How lines are found in one scan."""
+
+    method: Literal["geometric"] = "geometric"
+    voxel_size_m: float = Field(default=0.15, gt=0)
+    max_range_m: float = Field(default=60.0, gt=0)
+    grow_radius_m: float = Field(default=0.5, gt=0)
+    min_length_m: float = Field(default=0.8, gt=0)
+    max_lines: int = Field(default=80, ge=1)
+
+
+class MatchingSettings(Settings):
+    """How two line sets are brought together and the answer judged."""
+
+    distance_tolerance_m: float = Field(default=0.4, gt=0)
+    angle_tolerance_deg: float = Field(default=6.0, gt=0)
+    inlier_distance_m: float = Field(default=0.6, gt=0)
+    min_inliers: int = Field(default=3, ge=2)
+    max_hypotheses: int = Field(default=3000, ge=1)
+    min_overlap: float = Field(default=0.5, gt=0, le=1)
+
+
+class LoopSettings(Settings):
+    """Where loop candidates come from and how many are verified."""
+
+    enabled: bool = True
+    min_travel_m: float = Field(default=40.0, gt=0)
+    max_candidates: int = Field(default=3, ge=1)
+
+
+class GraphSettings(Settings):
+    """Noise of the constraints and the outlier tests of the pose graph."""
+
+    odometry_rotation_sigma_deg: float = Field(default=0.05, gt=0)
+    odometry_translation_sigma_m: float = Field(default=0.02, gt=0)
+    gnc_outlier_probability: float = Field(default=0.01, gt=0, lt=1)
+
+
+class MapSettings(Settings):
+    """The line map that a run leaves."""
+
+    merge_distance_m: float = Field(default=0.4, gt=0)
+    merge_angle_deg: float = Field(default=8.0, gt=0)
+    min_support: int = Field(default=2, ge=1)
+    clouds: bool = True
+    cloud_voxel_m: float = Field(default=0.8, gt=0)
+
+
+class SlamConfig(Settings):
+    """All settings of a run."""
+
+    seed: int = Field(default=0, ge=0)
+    input: InputSettings = InputSettings()
+    odometry: OdometrySettings = OdometrySettings()
+    keyframes: KeyframeSettings = KeyframeSettings()
+    lines: LineSettings = LineSettings()
+    matching: MatchingSettings = MatchingSettings()
+    loops: LoopSettings = LoopSettings()
+    graph: GraphSettings = GraphSettings()
+    map: MapSettings = MapSettings()
+
+
+def load_config(path: Path | str | None = None, overrides: Sequence[str] = ()) -> SlamConfig:
+    """Return the defaults, changed by a YAML file and then by ``section.key=value`` overrides.
+
+    Raises
+    ------
+    ConfigError
+        naming the file or the override and the full key.
+    """
+    tree = {} if path is None else _read_yaml(Path(path))
+    source = "the settings" if path is None else str(path)
+    for override in overrides:
+        _apply(tree, override)
+    try:
+        return SlamConfig.model_validate(tree)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "(top level)"
+        raise ConfigError(f"{source}: {key}: {first['msg']}") from None
+
+
+def dump_config(config: SlamConfig) -> str:
+    """Return the resolved settings as YAML that :func:`load_config` reads back."""
+    return yaml.safe_dump(config.model_dump(), sort_keys=False)
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > MAX_CONFIG_BYTES:
+            raise ConfigError(f"{path}: larger than {MAX_CONFIG_BYTES} bytes, not a settings file")
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read as a settings file ({error.strerror})") from None
+    except (yaml.YAMLError, UnicodeDecodeError):
+        raise ConfigError(f"{path}: not valid YAML; expected 'section:' and 'key: value'") from None
+    if tree is None:
+        return {}
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{path}: expected sections with keys, found a {type(tree).__name__}")
+    return tree
+
+
+def _apply(tree: dict[str, Any], override: str) -> None:
+    key, separator, text = override.partition("=")
+    if not separator or not key:
+        raise ConfigError(f"--set {override}: expected section.key=value")
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError:
+        raise ConfigError(f"--set {override}: the value is not valid YAML") from None
+    *sections, leaf = key.split(".")
+    for section in sections:
+        node = tree.setdefault(section, {})
+        if not isinstance(node, dict):
+            raise ConfigError(f"--set {override}: {section} is not a section")
+        tree = node
+    tree[leaf] = value

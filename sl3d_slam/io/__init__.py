@@ -1,0 +1,1 @@
+"""Scans in, run folder out: every file format this package reads or writes."""

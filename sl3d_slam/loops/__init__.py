@@ -1,0 +1,1 @@
+"""Where a loop may be, and whether it is one."""

@@ -1,0 +1,1 @@
+"""The line map: landmarks merged over keyframes, and its file."""
