@@ -18,7 +18,7 @@ _HOMES = {
     "SlamPipeline": "sl3d_slam.pipeline",
     "load_config": "sl3d_slam.config",
 }
-__all__ = sorted(_HOMES)  # noqa: PLE0605
+__all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str) -> Any:

@@ -9,6 +9,12 @@ from jaxtyping import Float32, Float64, Int64, UInt8
 from sl3d_slam.geometry.se3 import Points, Transform
 from sl3d_slam.geometry.segments import transform_segments
 
+_NOT_GIVEN = np.empty(0)
+
+
+def _not_given() -> np.ndarray:
+    return _NOT_GIVEN
+
 
 class LineKind(IntEnum):
     """What a line was seen on; for pictures and statistics, and a weak hint in matching."""
@@ -74,14 +80,15 @@ class LineSet:
     endpoints: Float64[np.ndarray, "L 2 3"]
     descriptors: Float32[np.ndarray, "L D"]
     num_points: Int64[np.ndarray, "L"]
-    kinds: UInt8[np.ndarray, "L"] = field(default=None)  # type: ignore[assignment]
-    scores: Float32[np.ndarray, "L"] = field(default=None)  # type: ignore[assignment]
+    kinds: UInt8[np.ndarray, "L"] = field(default_factory=_not_given)
+    scores: Float32[np.ndarray, "L"] = field(default_factory=_not_given)
 
     def __post_init__(self) -> None:
+        """Fill the columns that were not given and check that all have one row a line."""
         count = len(self.endpoints)
-        if self.kinds is None:
+        if self.kinds is _NOT_GIVEN:
             object.__setattr__(self, "kinds", np.zeros(count, np.uint8))
-        if self.scores is None:
+        if self.scores is _NOT_GIVEN:
             object.__setattr__(self, "scores", np.ones(count, np.float32))
         columns = (self.descriptors, self.num_points, self.kinds, self.scores)
         if any(len(column) != count for column in columns):
@@ -153,6 +160,21 @@ class Rejection:
     reason: str
     T_target_query: Transform | None = None
     num_inliers: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopRecord:
+    """One verified candidate as it ends in ``loops.json``; scans by their index in the sequence.
+
+    ``status`` is accepted, rejected or revoked; ``reason`` is empty for accepted ones.
+    """
+
+    query_scan: int
+    target_scan: int
+    T_target_query: Transform
+    num_inliers: int
+    status: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
