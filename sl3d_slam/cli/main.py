@@ -1,0 +1,60 @@
+"""The ``sl3d`` command: its verbs, one small file each.
+
+A verb's file imports nothing but typer and the standard library at its top, so that
+``sl3d --help`` answers at once; what the verb needs it imports when it runs.
+"""
+
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from sl3d_slam import __version__
+from sl3d_slam.cli.config import config
+from sl3d_slam.cli.errors import Verbs
+
+app = typer.Typer(
+    cls=Verbs,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command()(config)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"sl3d {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _frame(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    """LiDAR SLAM with 3D lines: map a drive, close its loops, find yourself in a saved map.
+
+    Exit status: 0 done; 1 done, but the answer is no; 2 wrong use or input.
+    """
+
+
+def main() -> None:
+    """Run the command line; a reader that stops reading (``sl3d ... | head``) is no error."""
+    try:
+        app(prog_name="sl3d")
+    finally:
+        _close_stdout()
+
+
+def _close_stdout() -> None:
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
