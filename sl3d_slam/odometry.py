@@ -1,0 +1,109 @@
+"""Scan -> RegisteredScan by KISS-ICP (Vizzo et al., RA-L 2023); the only import of kiss_icp.
+
+Hazards of the library that this file meets: its settings can be changed by environment variables
+(``KISS_ICP_*``), so every value is given here; its deskewing aborts the process when all point
+times are equal; and its threads add up sums in a different order from run to run, which changes
+the last bits of a pose. Each pose is therefore rounded to a grid far below the sensor's noise
+before it is used, so that two runs agree bit for bit.
+"""
+
+import numpy as np
+from jaxtyping import Float64
+from kiss_icp.config import KISSConfig
+from kiss_icp.config.config import (
+    AdaptiveThresholdConfig,
+    DataConfig,
+    MappingConfig,
+    RegistrationConfig,
+)
+from kiss_icp.mapping import get_voxel_hash_map
+from kiss_icp.preprocess import get_preprocessor
+from kiss_icp.registration import get_registration
+from kiss_icp.threshold import get_threshold_estimator
+from kiss_icp.voxelization import voxel_down_sample
+from scipy.spatial.transform import Rotation
+
+from sl3d_slam.config import InputSettings, OdometrySettings
+from sl3d_slam.geometry.se3 import Points, Transform, invert, make_transform
+from sl3d_slam.types import RegisteredScan, Scan
+
+TRANSLATION_GRID_M = 1e-5
+QUATERNION_GRID = 1e-7
+
+
+class Odometry:
+    """Registers each scan against a local map of the scans before it.
+
+    The first scan gets the identity. ``T_odom_lidar`` and the points of a scan with point times
+    refer to the time of its last point (KISS-ICP's choice), else to the scan as it is given.
+    """
+
+    def __init__(self, settings: OdometrySettings, scan_input: InputSettings) -> None:
+        config = _kiss_config(settings, scan_input)
+        self._voxel_size_m = settings.voxel_size_m
+        self._preprocessor = get_preprocessor(config)
+        self._threshold = get_threshold_estimator(config)
+        self._registration = get_registration(config)
+        self._local_map = get_voxel_hash_map(config)
+        self._T_odom_last: Transform = np.eye(4)
+        self._T_last_next: Transform = np.eye(4)
+
+    def register(self, scan: Scan) -> RegisteredScan:
+        """Deskew a scan, find its pose in the odometry frame and add it to the local map."""
+        points = self._preprocessor.preprocess(
+            scan.points_lidar, _usable_times(scan), self._T_last_next
+        )
+        map_points = voxel_down_sample(points, 0.5 * self._voxel_size_m)
+        T_odom_lidar = self._align(voxel_down_sample(map_points, 1.5 * self._voxel_size_m))
+        self._local_map.update(map_points, T_odom_lidar)
+        self._T_last_next = invert(self._T_odom_last) @ T_odom_lidar
+        self._T_odom_last = T_odom_lidar
+        return RegisteredScan(scan.index, scan.stamp_s, points, T_odom_lidar)
+
+    def _align(self, points: Points) -> Transform:
+        """Find the pose near the constant-velocity guess, and learn how far off the guess was."""
+        guess = self._T_odom_last @ self._T_last_next
+        sigma_m = self._threshold.get_threshold()
+        T_odom_lidar = _on_grid(
+            self._registration.align_points_to_map(
+                points=points,
+                voxel_map=self._local_map,
+                initial_guess=guess,
+                max_correspondance_distance=3.0 * sigma_m,
+                kernel=sigma_m,
+            )
+        )
+        self._threshold.update_model_deviation(invert(guess) @ T_odom_lidar)
+        return T_odom_lidar
+
+
+def _kiss_config(settings: OdometrySettings, scan_input: InputSettings) -> KISSConfig:
+    """Fill in every value; ``model_construct`` keeps the environment out."""
+    return KISSConfig.model_construct(
+        data=DataConfig(
+            max_range=scan_input.max_range_m,
+            min_range=scan_input.min_range_m,
+            deskew=scan_input.deskew,
+        ),
+        registration=RegistrationConfig(),
+        mapping=MappingConfig(
+            voxel_size=settings.voxel_size_m, max_points_per_voxel=settings.max_points_per_voxel
+        ),
+        adaptive_threshold=AdaptiveThresholdConfig(),
+    )
+
+
+def _usable_times(scan: Scan) -> Float64[np.ndarray, "M"]:
+    """Return the point times, or none where they do not tell points apart."""
+    times_s = scan.point_times_s
+    if times_s is None or np.ptp(times_s) <= 0.0:
+        return np.empty(0)
+    return times_s
+
+
+def _on_grid(T_a_b: Transform) -> Transform:
+    """Round a pose to 10 micrometres and 1e-7 in the quaternion."""
+    quat_xyzw = Rotation.from_matrix(T_a_b[:3, :3]).as_quat(canonical=True)
+    rotation = Rotation.from_quat(np.round(quat_xyzw / QUATERNION_GRID) * QUATERNION_GRID)
+    translation = np.round(T_a_b[:3, 3] / TRANSLATION_GRID_M) * TRANSLATION_GRID_M
+    return make_transform(rotation.as_matrix(), translation)
