@@ -114,6 +114,24 @@ class LineSet:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What is kept of one scan for matching, all in its lidar frame.
+
+    Attributes
+    ----------
+    lines : the lines of the scan.
+    up : (3,) unit vector, the way up.
+    cloud : (N, 3) float32, a coarse cloud for dense verification; may be empty.
+    heights : (N,) float32, metres of each cloud point above the local ground.
+    """
+
+    lines: LineSet
+    up: Float64[np.ndarray, "3"]
+    cloud: Float32[np.ndarray, "N 3"]
+    heights: Float32[np.ndarray, "N"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Registration:
     """The answer to "where is the source scan in the target frame?".
 

@@ -1,0 +1,209 @@
+"""Places by constellation: triangles of standing lines vote for a view and a pose in it.
+
+Every stored view anywhere in the map takes part; neither the odometry nor the time since plays a
+role. A matched triangle gives a whole planar pose, so false matches scatter over millions of cells
+while the lines of a true revisit agree on one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numba import njit
+
+from sl3d_slam.loops.triangles import (
+    BIN_M,
+    NUM_HEADS,
+    all_triangles,
+    bucket,
+    insert,
+    local_triangles,
+    sides_m,
+    turns_left,
+)
+
+NEIGHBOURS = 9
+MAX_LINES = 40
+SIDE_TOLERANCE_M = 0.35
+YAW_CELLS = 60
+SHIFT_CELL_M = 2.0
+SHIFT_CELLS = 64
+MAX_VOTES = 400_000
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceVote:
+    """One view, and the planar pose (yaw_rad, x_m, y_m) of the query in it with its votes."""
+
+    view_id: int
+    pose: tuple[float, float, float]
+    votes: float
+
+
+class ConstellationIndex:
+    """All views seen so far, by the triangles of their standing lines."""
+
+    def __init__(self) -> None:
+        self._heads = np.full(NUM_HEADS, -1, np.int32)
+        self._links = np.full(4096, -1, np.int32)
+        self._owners = np.zeros(4096, np.int32)
+        self._corners = np.zeros((4096, 3, 2), np.float32)
+        self._num_entries = 0
+
+    def __len__(self) -> int:
+        """Return the number of stored triangles."""
+        return self._num_entries
+
+    def add(
+        self, view_id: int, xy: Float64[np.ndarray, "V 2"], weights: Float64[np.ndarray, "V"]
+    ) -> None:
+        """Store the triangles of a view's strongest lines, in its levelled frame."""
+        xy = xy[_strongest(weights)]
+        triangles = local_triangles(xy, NEIGHBOURS)
+        first, last = self._num_entries, self._num_entries + len(triangles)
+        self._reserve(last)
+        insert(self._heads, self._links, first, xy, triangles)
+        self._owners[first:last] = view_id
+        self._corners[first:last] = xy[triangles]
+        self._num_entries = last
+
+    def query(
+        self,
+        xy: Float64[np.ndarray, "V 2"],
+        weights: Float64[np.ndarray, "V"],
+        newest_view_id: int,
+        limit: int,
+    ) -> list[PlaceVote]:
+        """Return the best-voted pose in each of the best views with id up to ``newest_view_id``."""
+        xy = xy[_strongest(weights)]
+        poses, owners = _collect(
+            xy,
+            all_triangles(xy, SIDE_TOLERANCE_M),
+            self._heads,
+            self._links,
+            self._owners,
+            self._corners,
+            newest_view_id,
+        )
+        return _best_per_view(poses, owners, limit)
+
+    def _reserve(self, count: int) -> None:
+        size = len(self._links)
+        if count <= size:
+            return
+        grown = max(count, 2 * size)
+        self._links = np.resize(self._links, grown)
+        self._owners = np.resize(self._owners, grown)
+        self._corners = np.resize(self._corners, (grown, 3, 2))
+
+
+def _strongest(weights: np.ndarray) -> np.ndarray:
+    return np.sort(np.argsort(-weights, kind="stable")[:MAX_LINES])
+
+
+def _best_per_view(poses: np.ndarray, owners: np.ndarray, limit: int) -> list[PlaceVote]:
+    """Count votes in overlapping cells, then average the poses around each view's fullest cell."""
+    if len(poses) == 0:
+        return []
+    yaw_cell = np.floor((poses[:, 0] + np.pi) / (2 * np.pi) * YAW_CELLS).astype(np.int64)
+    shift_cell = np.floor(poses[:, 1:] / SHIFT_CELL_M).astype(np.int64) + SHIFT_CELLS // 2
+    keep = np.all((shift_cell >= 0) & (shift_cell < SHIFT_CELLS), axis=1)
+    poses, owners = poses[keep], owners[keep].astype(np.int64)
+    if len(poses) == 0:
+        return []
+    cell = (yaw_cell[keep] % YAW_CELLS) * SHIFT_CELLS + shift_cell[keep, 0]
+    key = (owners * YAW_CELLS * SHIFT_CELLS + cell) * SHIFT_CELLS + shift_cell[keep, 1]
+    _, first, counts = np.unique(key, return_index=True, return_counts=True)
+    order = np.argsort(-counts, kind="stable")[: 8 * limit]
+    best: dict[int, PlaceVote] = {}
+    sorted_owners = np.argsort(owners, kind="stable")
+    bounds = np.searchsorted(
+        owners[sorted_owners], [owners[first[order]], owners[first[order]] + 1]
+    )
+    for n, c in enumerate(order):
+        rows = sorted_owners[bounds[0, n] : bounds[1, n]]
+        vote = _gather(poses[rows], poses[first[c]], int(owners[first[c]]))
+        if vote.view_id not in best or vote.votes > best[vote.view_id].votes:
+            best[vote.view_id] = vote
+    return sorted(best.values(), key=lambda vote: (-vote.votes, vote.view_id))[:limit]
+
+
+def _gather(poses: np.ndarray, around: np.ndarray, view_id: int) -> PlaceVote:
+    centre = around
+    for _ in range(2):
+        turn = np.angle(np.exp(1j * (poses[:, 0] - centre[0])))
+        shift = poses[:, 1:] - centre[1:]
+        near = (np.abs(turn) < np.radians(6.0)) & (np.hypot(*shift.T) < SHIFT_CELL_M)
+        centre = centre + np.r_[np.median(turn[near]), np.median(shift[near], axis=0)]
+    return PlaceVote(
+        view_id, (float(centre[0]), float(centre[1]), float(centre[2])), float(near.sum())
+    )
+
+
+@njit(cache=True)
+def _collect(  # noqa: PLR0913
+    xy: np.ndarray,
+    triangles: np.ndarray,
+    heads: np.ndarray,
+    links: np.ndarray,
+    owners: np.ndarray,
+    corners: np.ndarray,
+    newest_view_id: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a planar pose and a view for each stored triangle that equals one of the query's."""
+    poses, voters = np.empty((MAX_VOTES, 3)), np.empty(MAX_VOTES, np.int32)
+    n = 0
+    slots = np.empty(8, np.int64)
+    for t in range(len(triangles)):
+        corner = np.stack((xy[triangles[t, 0]], xy[triangles[t, 1]], xy[triangles[t, 2]]))
+        _neighbour_slots(corner, slots)
+        for s in range(8):
+            entry = heads[slots[s]] if np.sum(slots[:s] == slots[s]) == 0 else -1
+            while entry >= 0 and n < MAX_VOTES:
+                if owners[entry] <= newest_view_id and _same_sides(corner, corners[entry]):
+                    _lay_on(corner, corners[entry], poses[n])
+                    voters[n] = owners[entry]
+                    n += 1
+                entry = links[entry]
+    return poses[:n], voters[:n]
+
+
+@njit(cache=True)
+def _neighbour_slots(corner: np.ndarray, slots: np.ndarray) -> None:
+    """Name the 8 table slots whose cells touch the half-cell cube around a triangle's sides."""
+    a, b, c = sides_m(corner, 0, 1, 2)
+    left = turns_left(corner, 0, 1, 2)
+    side = (a, b, c)
+    shift = np.zeros(3, np.int64)
+    for s in range(8):
+        for axis in range(3):
+            cells = side[axis] / BIN_M
+            towards = 1 if cells - np.floor(cells) > 0.5 else -1
+            shift[axis] = towards * ((s >> axis) & 1)
+        slots[s] = bucket(a, b, c, left, shift)
+
+
+@njit(cache=True)
+def _same_sides(query: np.ndarray, stored: np.ndarray) -> bool:
+    if turns_left(query, 0, 1, 2) != turns_left(stored, 0, 1, 2):
+        return False
+    a, b, c = sides_m(query, 0, 1, 2)
+    d, e, f = sides_m(stored, 0, 1, 2)
+    return max(abs(a - d), abs(b - e), abs(c - f)) < SIDE_TOLERANCE_M
+
+
+@njit(cache=True)
+def _lay_on(query: np.ndarray, stored: np.ndarray, pose: np.ndarray) -> None:
+    """Write the planar pose (yaw, x, y) that lays one triangle on the other, least squares."""
+    qx, qy = np.mean(query[:, 0]), np.mean(query[:, 1])
+    sx, sy = np.mean(stored[:, 0]), np.mean(stored[:, 1])
+    dot, cross = 0.0, 0.0
+    for v in range(3):
+        ax, ay = query[v, 0] - qx, query[v, 1] - qy
+        bx, by = stored[v, 0] - sx, stored[v, 1] - sy
+        dot += ax * bx + ay * by
+        cross += ax * by - ay * bx
+    pose[0] = np.arctan2(cross, dot)
+    cosine, sine = np.cos(pose[0]), np.sin(pose[0])
+    pose[1] = sx - (cosine * qx - sine * qy)
+    pose[2] = sy - (sine * qx + cosine * qy)

@@ -1,0 +1,139 @@
+"""Triangles of standing lines: three distances that no change of view alters.
+
+Sides are sorted from long to short, corners named by the side opposite them, and the sense of
+rotation (seen from above) is part of the triangle. A table hashed by the rounded sides answers
+"where have I seen this triangle before?" in a time that hardly grows with the number of views.
+"""
+
+import numpy as np
+from jaxtyping import Float64, Int32
+from numba import njit
+
+MIN_SIDE_M = 3.0
+MAX_SIDE_M = 40.0
+BIN_M = 0.8
+NUM_HEADS = 1 << 20
+
+Triangles = Int32[np.ndarray, "T 3"]  # rows of the line set: opposite the longest side first
+
+
+def local_triangles(xy: Float64[np.ndarray, "V 2"], neighbours: int) -> Triangles:
+    """Return the triangles of each line with pairs of its nearest lines, each once."""
+    if len(xy) < 3:
+        return np.zeros((0, 3), np.int32)
+    return _canonical(xy, _local(xy, min(neighbours, len(xy) - 1)), 0.0)
+
+
+def all_triangles(xy: Float64[np.ndarray, "V 2"], slack_m: float) -> Triangles:
+    """Return every triangle of useful size, in every order that nearly equal sides allow."""
+    if len(xy) < 3:
+        return np.zeros((0, 3), np.int32)
+    return _canonical(xy, _all(xy), slack_m)
+
+
+@njit(cache=True)
+def _local(xy: np.ndarray, neighbours: int) -> np.ndarray:
+    count = len(xy)
+    seen = set()
+    seen.add((0, 0, 0))
+    rows = np.empty((count * neighbours * (neighbours - 1) // 2, 3), np.int32)
+    n = 0
+    for i in range(count):
+        gaps = np.hypot(xy[:, 0] - xy[i, 0], xy[:, 1] - xy[i, 1])
+        gaps[gaps < MIN_SIDE_M] = np.inf
+        near = np.argsort(gaps)[:neighbours]
+        for a in range(neighbours):
+            for b in range(a):
+                j, k = near[a], near[b]
+                low, high = min(i, j, k), max(i, j, k)
+                key = (low, i + j + k - low - high, high)
+                if gaps[j] < MAX_SIDE_M and gaps[k] < MAX_SIDE_M and key not in seen:
+                    seen.add(key)
+                    rows[n, 0], rows[n, 1], rows[n, 2] = i, j, k
+                    n += 1
+    return rows[:n]
+
+
+@njit(cache=True)
+def _all(xy: np.ndarray) -> np.ndarray:
+    count = len(xy)
+    rows = np.empty((count * (count - 1) * (count - 2) // 6, 3), np.int32)
+    n = 0
+    for i in range(count):
+        for j in range(i):
+            for k in range(j):
+                rows[n, 0], rows[n, 1], rows[n, 2] = i, j, k
+                n += 1
+    return rows
+
+
+@njit(cache=True)
+def sides_m(xy: np.ndarray, i: int, j: int, k: int) -> tuple[float, float, float]:
+    """Return the sides opposite i, j and k."""
+    a = np.hypot(xy[j, 0] - xy[k, 0], xy[j, 1] - xy[k, 1])
+    b = np.hypot(xy[i, 0] - xy[k, 0], xy[i, 1] - xy[k, 1])
+    c = np.hypot(xy[i, 0] - xy[j, 0], xy[i, 1] - xy[j, 1])
+    return a, b, c
+
+
+@njit(cache=True)
+def turns_left(xy: np.ndarray, i: int, j: int, k: int) -> int:
+    """Return 1 where i, j, k run anticlockwise, else 0."""
+    ux, uy = xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1]
+    vx, vy = xy[k, 0] - xy[i, 0], xy[k, 1] - xy[i, 1]
+    return 1 if ux * vy - uy * vx > 0 else 0
+
+
+@njit(cache=True)
+def bucket(a: float, b: float, c: float, left: int, shift: np.ndarray) -> int:
+    """Return the table's slot for rounded sides; ``shift`` moves to a neighbouring cell."""
+    i = np.int64(a / BIN_M) + shift[0]
+    j = np.int64(b / BIN_M) + shift[1]
+    k = np.int64(c / BIN_M) + shift[2]
+    key = ((i * 64 + j) * 64 + k) * 2 + left
+    key = (key ^ (key >> 15)) * 0x2C1B3C6D
+    key = (key ^ (key >> 12)) * 0x297A2D39
+    return (key ^ (key >> 15)) & (NUM_HEADS - 1)
+
+
+@njit(cache=True)
+def _canonical(xy: np.ndarray, rows: np.ndarray, slack_m: float) -> np.ndarray:
+    """Order corners by their opposite sides, longest first; drop slivers and sizes out of range.
+
+    Sides that differ by less than the slack may swap places in another view, so each order that
+    they allow is returned.
+    """
+    orders = np.array([[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]])
+    result = np.empty((6 * len(rows), 3), np.int32)
+    n = 0
+    for r in range(len(rows)):
+        a, b, c = sides_m(xy, rows[r, 0], rows[r, 1], rows[r, 2])
+        longest, shortest = max(a, b, c), min(a, b, c)
+        sliver = a + b + c < 2.03 * longest
+        if sliver or shortest < MIN_SIDE_M or longest > MAX_SIDE_M:
+            continue
+        for order in orders:
+            i, j, k = rows[r, order[0]], rows[r, order[1]], rows[r, order[2]]
+            a, b, c = sides_m(xy, i, j, k)
+            if a >= b - slack_m and b >= c - slack_m:
+                result[n, 0], result[n, 1], result[n, 2] = i, j, k
+                n += 1
+    return result[:n].copy()
+
+
+@njit(cache=True)
+def insert(
+    heads: Int32[np.ndarray, "H"],
+    links: Int32[np.ndarray, "E"],
+    first_entry: int,
+    xy: Float64[np.ndarray, "V 2"],
+    triangles: Int32[np.ndarray, "T 3"],
+) -> None:
+    """Chain the triangles into the table as entries ``first_entry, first_entry + 1, ...``."""
+    no_shift = np.zeros(3, np.int64)
+    for t in range(len(triangles)):
+        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        a, b, c = sides_m(xy, i, j, k)
+        slot = bucket(a, b, c, turns_left(xy, i, j, k), no_shift)
+        links[first_entry + t] = heads[slot]
+        heads[slot] = first_entry + t

@@ -1,0 +1,104 @@
+"""A pose from matched lines: closed form, then the paper's point-to-line cost.
+
+Source: SuperLine3D, Eq. 5 (point-to-line distances over all matches) and its rejection of matches
+farther than 1 m; here each source line gives its two end points and robust weights.
+"""
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from sl3d_slam.geometry.se3 import Transform, exp, nearest_rotation, skew, transform_points
+from sl3d_slam.geometry.segments import directions, midpoints, transform_segments
+from sl3d_slam.types import LineSet
+
+REJECT_M = 1.0
+ROBUST_M = 0.2
+LINE_SIGMA_M = 0.1
+ITERATIONS = 12
+FREE_SHARE = 1e-3
+
+
+def planar_from_points(
+    source_xy: Float64[np.ndarray, "M 2"], target_xy: Float64[np.ndarray, "M 2"]
+) -> Float64[np.ndarray, "3"]:
+    """Return (yaw, x, y) that lays source points on target points in the least-squares sense."""
+    source_mean, target_mean = source_xy.mean(axis=0), target_xy.mean(axis=0)
+    a, b = source_xy - source_mean, target_xy - target_mean
+    yaw = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
+    c, s = np.cos(yaw), np.sin(yaw)
+    shift = target_mean - np.array([[c, -s], [s, c]]) @ source_mean
+    return np.array([yaw, *shift])
+
+
+def refine_on_lines(
+    source: LineSet,
+    target: LineSet,
+    matches: Int64[np.ndarray, "M 2"],
+    T_target_source: Transform,
+) -> tuple[Transform, Float64[np.ndarray, "6 6"]]:
+    """Minimise robust point-to-line distances; directions that no line fixes stay as they are.
+
+    Returns
+    -------
+    The refined pose and its information (rotation first, at the source frame), in which a free
+    direction is exactly zero.
+    """
+    points = source.endpoints[matches[:, 0]].reshape(-1, 3)
+    origins = np.repeat(midpoints(target.endpoints)[matches[:, 1]], 2, axis=0)
+    axes = np.repeat(directions(target.endpoints)[matches[:, 1]], 2, axis=0)
+    T, H = T_target_source, np.zeros((6, 6))
+    for _ in range(ITERATIONS):
+        H, gradient = _normal_equations(T, points, origins, axes)
+        step = -_solve_where_fixed(H, gradient)
+        T = T @ exp(step)
+        if np.linalg.norm(step) < 1e-6:
+            break
+    T[:3, :3] = nearest_rotation(T[:3, :3])
+    return T, _drop_free_directions(H) / LINE_SIGMA_M**2
+
+
+def line_distances_m(
+    source: LineSet,
+    target: LineSet,
+    matches: Int64[np.ndarray, "M 2"],
+    T_target_source: Transform,
+) -> Float64[np.ndarray, "M"]:
+    """Return the mean distance of each source line's end points from its target line."""
+    moved = transform_segments(T_target_source, source.endpoints[matches[:, 0]])
+    offset = moved - midpoints(target.endpoints)[matches[:, 1], None]
+    axes = directions(target.endpoints)[matches[:, 1], None]
+    return np.linalg.norm(np.cross(offset, axes), axis=2).mean(axis=1)
+
+
+def _normal_equations(
+    T: Transform, points: np.ndarray, origins: np.ndarray, axes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    offset = transform_points(T, points) - origins
+    residual = offset - (offset * axes).sum(axis=1, keepdims=True) * axes
+    length = np.linalg.norm(residual, axis=1)
+    weight = np.where(length < REJECT_M, 1.0 / (1.0 + (length / ROBUST_M) ** 2) ** 2, 0.0)
+    H, gradient = np.zeros((6, 6)), np.zeros(6)
+    for k in np.flatnonzero(weight):
+        across = np.eye(3) - np.outer(axes[k], axes[k])
+        J = across @ T[:3, :3] @ np.hstack([-skew(points[k]), np.eye(3)])
+        H += weight[k] * J.T @ J
+        gradient += weight[k] * J.T @ residual[k]
+    return H, gradient
+
+
+def _spectrum(H: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    values, vectors = np.linalg.eigh(H)
+    fixed = values > FREE_SHARE * max(values[-1], 1e-12)
+    return values, vectors, fixed
+
+
+def _solve_where_fixed(H: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    values, vectors, fixed = _spectrum(H)
+    basis = vectors[:, fixed]
+    return basis @ ((basis.T @ gradient) / values[fixed])
+
+
+def _drop_free_directions(H: np.ndarray) -> np.ndarray:
+    values, vectors, fixed = _spectrum(H)
+    basis = vectors[:, fixed]
+    return (basis * values[fixed]) @ basis.T
