@@ -1,25 +1,22 @@
 """KITTI odometry layout: ``sequences/SS/{velodyne,calib.txt,times.txt}`` and ``poses/SS.txt``."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
 from sl3d_slam.config import InputSettings
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import Transform, make_transform, nearest_rotation
 from sl3d_slam.io.dataset import Dataset
-from sl3d_slam.io.points import KITTI_ELEVATION_OFFSET_DEG, make_scan, raise_elevation
-from sl3d_slam.io.scan_file import list_scans, read_bin
-from sl3d_slam.io.text_table import read_table, read_text
+from sl3d_slam.io.folder import ScanFiles
+from sl3d_slam.io.points import KITTI_ELEVATION_OFFSET_DEG
+from sl3d_slam.io.scan_file import list_scans
+from sl3d_slam.io.stamps import pick_rows, read_stamps
+from sl3d_slam.io.text_table import read_text
 from sl3d_slam.io.trajectory import read_kitti_poses, to_lidar_frame
-from sl3d_slam.types import Scan
 
 SCANS_FOLDER = "velodyne"
 SIMULATION_FILE = "simulation.json"
-ASSUMED_RATE_HZ = 10.0
 _CALIB_KEYS = ("Tr:", "Tr_velo_to_cam:", "Tr_velo_cam:")
 
 
@@ -44,43 +41,27 @@ def open_kitti(path: Path, sequence: str | None, settings: InputSettings) -> Dat
         naming the folder or file that is missing or damaged.
     """
     folder = find_sequence(path, sequence)
-    scans = list_scans(folder / SCANS_FOLDER, (".bin",))
+    scans = tuple(list_scans(folder / SCANS_FOLDER, (".bin",)))
     T_cam_lidar = read_calib(folder / "calib.txt")
-    stamps_s, warnings = _read_stamps(folder / "times.txt", scans)
-    simulated = (folder / SIMULATION_FILE).is_file()
-    corrected = corrects(folder, settings)
+    stamps_s, warnings = read_stamps(folder / "times.txt", scans)
+    offset_deg = elevation_offset_deg(folder, settings)
     poses_file = _find_poses(folder)
     truth = None
     if poses_file is not None:
-        camera_poses = read_kitti_poses(poses_file)
-        truth = to_lidar_frame(_pick_rows(camera_poses, scans, poses_file), T_cam_lidar)
-    correction = f"elevation raised by {KITTI_ELEVATION_OFFSET_DEG} deg" if corrected else "as is"
+        camera_poses = pick_rows(read_kitti_poses(poses_file), scans, poses_file)
+        truth = to_lidar_frame(camera_poses, T_cam_lidar)
     return Dataset(
         name=folder.name,
-        description=f"KITTI sequence {folder} ({len(scans)} scans, {correction})",
+        description=(
+            f"KITTI sequence {folder} ({len(scans)} scans, elevation raised by {offset_deg:g} deg)"
+        ),
         num_scans=len(scans),
-        read_scans=_KittiScans(tuple(scans), stamps_s, corrected, settings),
+        read_scans=ScanFiles(scans, stamps_s, offset_deg, settings),
         truth=truth,
         T_cam_lidar=T_cam_lidar,
-        simulated=simulated,
+        simulated=(folder / SIMULATION_FILE).is_file(),
         warnings=warnings,
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _KittiScans:
-    files: tuple[Path, ...]
-    stamps_s: Float64[np.ndarray, "N"]
-    corrected: bool
-    settings: InputSettings
-
-    def __call__(self, start: int, stop: int) -> Iterator[Scan]:
-        for index in range(start, stop):
-            points = read_bin(self.files[index])
-            if self.corrected:
-                points = raise_elevation(points, KITTI_ELEVATION_OFFSET_DEG)
-            position = (index, float(self.stamps_s[index]))
-            yield make_scan(position, points, None, self.settings, str(self.files[index]))
 
 
 def find_sequence(path: Path, sequence: str | None) -> Path:
@@ -107,11 +88,14 @@ def find_sequence(path: Path, sequence: str | None) -> Path:
     return root / wanted
 
 
-def corrects(folder: Path, settings: InputSettings) -> bool:
-    """Tell whether scans of a KITTI sequence get the HDL-64E elevation correction."""
-    if settings.kitti_correction == "auto":
-        return not (folder / SIMULATION_FILE).is_file()
-    return settings.kitti_correction == "on"
+def elevation_offset_deg(folder: Path, settings: InputSettings) -> float:
+    """Return the HDL-64E elevation correction for scans of a KITTI sequence: 0.205 or 0 deg.
+
+    ``auto`` leaves it out where the folder of the sequence holds ``simulation.json``.
+    """
+    simulated = (folder / SIMULATION_FILE).is_file()
+    auto = settings.kitti_correction == "auto" and not simulated
+    return KITTI_ELEVATION_OFFSET_DEG if auto or settings.kitti_correction == "on" else 0.0
 
 
 def read_calib(path: Path) -> Transform:
@@ -134,32 +118,6 @@ def read_calib(path: Path) -> Transform:
     raise InputError(f"{path}: no rigid transform found; expected {expected}")
 
 
-def _read_stamps(path: Path, scans: list[Path]) -> tuple[np.ndarray, tuple[str, ...]]:
-    if not path.exists():
-        warning = f"{path}: not found; the scans are taken to be {ASSUMED_RATE_HZ:g} a second"
-        return np.arange(len(scans)) / ASSUMED_RATE_HZ, (warning,)
-    stamps_s = read_table(path, 1, "one time in seconds a line")
-    picked = _pick_rows(stamps_s, scans, path)[:, 0]
-    if np.any(np.diff(picked) <= 0):
-        raise InputError(f"{path}: times do not increase; expected one time in seconds a line")
-    return picked, ()
-
-
 def _find_poses(folder: Path) -> Path | None:
     candidates = (folder.parent.parent / "poses" / f"{folder.name}.txt", folder / "poses.txt")
     return next((path for path in candidates if path.is_file()), None)
-
-
-def _pick_rows(rows: np.ndarray, scans: list[Path], source: Path) -> np.ndarray:
-    """Return one row a scan; where the counts differ, a scan's number is its row.
-
-    So a part of a sequence works with the files of the whole.
-    """
-    if len(rows) == len(scans):
-        return rows
-    numbers = [int(scan.stem) if scan.stem.isdecimal() else -1 for scan in scans]
-    if min(numbers) < 0 or max(numbers) >= len(rows):
-        raise InputError(
-            f"{source}: has {len(rows)} rows for {len(scans)} scans; expected one each"
-        )
-    return rows[numbers]

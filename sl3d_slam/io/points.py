@@ -1,9 +1,10 @@
 """From the raw returns of any file to the points of a scan: correction, range filter, times."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Shaped
 
 from sl3d_slam.config import InputSettings
 from sl3d_slam.errors import InputError
@@ -19,6 +20,36 @@ TIME_FIELDS = (
 MAX_SWEEP_S = 2.0
 
 Times = Float64[np.ndarray, "N"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cloud:
+    """What a file or message holds, before any filter; it lives inside ``io`` only.
+
+    Attributes
+    ----------
+    points : (N, 3) metres in the sensor frame, possibly with NaN.
+    times : (N,) a time for each point in the file's own unit and type, or None.
+    """
+
+    points: Points
+    times: Shaped[np.ndarray, "N"] | None = None
+
+
+def cloud_from_fields(fields: np.ndarray, source: str) -> Cloud:
+    """Pick ``x``, ``y``, ``z`` and a time field from a structured array; letter case is ignored.
+
+    Raises
+    ------
+    InputError
+        naming ``source`` where a coordinate is missing.
+    """
+    names = {name.lower(): name for name in fields.dtype.names or ()}
+    if not {"x", "y", "z"} <= names.keys():
+        raise InputError(f"{source}: has fields {sorted(names)}; expected x, y and z among them")
+    points = np.column_stack([fields[names[axis]].astype(np.float64) for axis in "xyz"])
+    time_field = find_time_field(tuple(names.values()))
+    return Cloud(points, None if time_field is None else fields[time_field])
 
 
 def raise_elevation(points: Points, angle_deg: float) -> Points:
@@ -39,10 +70,16 @@ def raise_elevation(points: Points, angle_deg: float) -> Points:
     return turned
 
 
+def corrected(cloud: Cloud, elevation_offset_deg: float) -> Cloud:
+    """Return a cloud with :func:`raise_elevation` applied; 0 leaves it untouched."""
+    if elevation_offset_deg == 0.0:
+        return cloud
+    return Cloud(raise_elevation(cloud.points, elevation_offset_deg), cloud.times)
+
+
 def make_scan(
-    position: tuple[int, float], points: Points, times_s: Times | None, settings: InputSettings,
-    source: str,
-) -> Scan:  # fmt: skip
+    position: tuple[int, float], cloud: Cloud, settings: InputSettings, source: str
+) -> Scan:
     """Keep finite points within the range limits; ``position`` is (index, stamp in seconds).
 
     Raises
@@ -50,12 +87,9 @@ def make_scan(
     InputError
         naming ``source`` where fewer than 100 points are left.
     """
-    keep = usable(points, settings, source)
-    index, stamp_s = position
-    kept_times = None if times_s is None else times_s[keep]
-    if kept_times is not None and not np.isfinite(kept_times).all():
-        raise InputError(f"{source}: its point times are not all finite numbers")
-    return Scan(index, stamp_s, points[keep], kept_times)
+    keep = usable(cloud.points, settings, source)
+    times_s = None if cloud.times is None else to_sweep_seconds(cloud.times[keep])
+    return Scan(position[0], position[1], cloud.points[keep], times_s)
 
 
 def usable(points: Points, settings: InputSettings, source: str) -> np.ndarray:
