@@ -1,0 +1,179 @@
+"""Which way is up, and how high is each point above the street.
+
+The ground is a low, gently sloping surface: the lowest returns of coarse cells, lowered to a cone
+of limited slope (so that a cell which sees only a wall takes its height from the street beside it)
+and filled in between.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float64
+from scipy import ndimage
+
+from sl3d_slam.geometry.se3 import Points, rotation_between
+
+FIT_RANGE_M = 30.0
+FIT_CELL_M = 1.5
+MAX_TILT_DEG = 25.0
+CELL_M = 1.0
+MAX_SLOPE = 0.25
+LOW_BAND_M = 0.25
+GRID_HALF_WIDTH_M = 64.0
+MIN_CELLS = 8
+MARGIN = 1.5
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def up_direction(points_lidar: Points) -> Float64[np.ndarray, "3"]:
+    """Return the unit normal of the ground around the sensor, pointing up, in the lidar frame.
+
+    A plane is fitted to the lowest returns of 1.5 m cells within 30 m, with weights that narrow
+    from metres to decimetres, so that walls and cars in those cells lose their say. Valid for
+    sensors tilted by up to 25 degrees. Where too little ground is seen, the frame's own z axis is
+    returned.
+    """
+    near = _lowest_per_cell(
+        points_lidar[_in_horizontal_range(points_lidar, 2.0, FIT_RANGE_M)], FIT_CELL_M / 3
+    )
+    up = UP
+    for scale_m in (0.5, 0.25, 0.15):
+        level = near @ rotation_between(up, UP).T
+        lowest = _lowest_per_cell(level, FIT_CELL_M)
+        if len(lowest) < MIN_CELLS:
+            return UP.copy()
+        normal = _robust_plane_normal(lowest, scale_m)
+        up = rotation_between(up, UP).T @ normal
+        up /= np.linalg.norm(up)
+    if up[2] < np.cos(np.radians(MAX_TILT_DEG)):
+        return UP.copy()
+    return up
+
+
+def heights_above_ground(
+    points_lidar: Points, up: Float64[np.ndarray, "3"]
+) -> Float64[np.ndarray, "N"]:
+    """Return the height of each point above the local ground, metres along ``up``.
+
+    Follows slopes of up to 25 % against ``up``; farther than 64 m from the sensor the height of
+    the nearest known ground is used. All zero where no point is given.
+    """
+    level = points_lidar @ rotation_between(up, UP).T
+    if len(level) == 0:
+        return np.zeros(0)
+    ground = _ground_grid(level)
+    position = (np.clip(level[:, :2], -GRID_HALF_WIDTH_M, GRID_HALF_WIDTH_M - 1e-6)) / CELL_M
+    position += GRID_HALF_WIDTH_M / CELL_M - 0.5
+    heights = ndimage.map_coordinates(ground, position.T, order=1, mode="nearest")
+    return level[:, 2] - heights
+
+
+def ground_mask(
+    points_lidar: Points, up: Float64[np.ndarray, "3"], clearance_m: float = 0.25
+) -> Bool[np.ndarray, "N"]:
+    """Tell which points lie less than ``clearance_m`` above the local ground (or below it)."""
+    return heights_above_ground(points_lidar, up) < clearance_m
+
+
+def _in_horizontal_range(points: Points, near_m: float, far_m: float) -> Bool[np.ndarray, "N"]:
+    squared = points[:, 0] ** 2 + points[:, 1] ** 2
+    return (squared > near_m**2) & (squared < far_m**2)
+
+
+def _lowest_per_cell(points: Points, cell_m: float) -> Points:
+    """Return the lowest point of each occupied cell within the fitting range."""
+    size = int(np.ceil(2 * MARGIN * FIT_RANGE_M / cell_m))
+    cells = ((points[:, :2] + MARGIN * FIT_RANGE_M) / cell_m).astype(np.int64)
+    key = cells[:, 0] * size + cells[:, 1]
+    lowest = np.full(size * size, np.inf)
+    np.minimum.at(lowest, key, points[:, 2])
+    return points[points[:, 2] == lowest[key]]
+
+
+def _robust_plane_normal(points: Points, final_scale_m: float) -> Float64[np.ndarray, "3"]:
+    """Fit ``z = a x + b y + c`` with Geman-McClure weights whose scale shrinks; near cells count more."""
+    weights_near = 1.0 / (5.0 + np.hypot(points[:, 0], points[:, 1]))
+    design = np.c_[points[:, :2], np.ones(len(points))]
+    solution = np.array([0.0, 0.0, np.median(points[:, 2])])
+    for scale_m in np.geomspace(3.0, final_scale_m, 10):
+        residual = points[:, 2] - design @ solution
+        weights = weights_near / (1.0 + (residual / scale_m) ** 2) ** 2
+        normal_matrix = design.T @ (design * weights[:, None]) + 1e-9 * np.eye(3)
+        solution = np.linalg.solve(normal_matrix, design.T @ (weights * points[:, 2]))
+    normal = np.array([-solution[0], -solution[1], 1.0])
+    return normal / np.linalg.norm(normal)
+
+
+def _ground_grid(level: Points) -> Float64[np.ndarray, "X Y"]:
+    """Return the height of the ground on a square grid of 1 m cells centred on the sensor."""
+    lowest = _without_ghosts(_low_grid(level))
+    envelope = _slope_envelope(lowest)
+    known = np.isfinite(lowest) & (lowest <= envelope + LOW_BAND_M)
+    return _fill(np.where(known, lowest, 0.0), known)
+
+
+def _low_grid(level: Points) -> Float64[np.ndarray, "X Y"]:
+    """Return the lowest height per cell that a second return confirms; inf elsewhere."""
+    size = round(2 * GRID_HALF_WIDTH_M / CELL_M)
+    cells = np.floor((level[:, :2] + GRID_HALF_WIDTH_M) / CELL_M).astype(np.int64)
+    inside = np.all((cells >= 0) & (cells < size), axis=1)
+    key, z = cells[inside, 0] * size + cells[inside, 1], level[inside, 2]
+    lowest = np.full(size * size, np.inf)
+    np.minimum.at(lowest, key, z)
+    low = z <= lowest[key] + LOW_BAND_M
+    count = np.bincount(key[low], minlength=size * size)
+    total = np.bincount(key[low], weights=z[low], minlength=size * size)
+    mean = np.full(size * size, np.inf)
+    mean[count >= 2] = total[count >= 2] / count[count >= 2]
+    return mean.reshape(size, size)
+
+
+def _without_ghosts(lowest: Float64[np.ndarray, "X Y"]) -> Float64[np.ndarray, "X Y"]:
+    """Drop cells that lie in a hole: mirror images seen below the street.
+
+    A cell goes when most of the cells 2 and 4 m away are higher than a slope could make them.
+    """
+    finite = np.isfinite(lowest)
+    seen = np.zeros(lowest.shape, np.int64)
+    higher = np.zeros(lowest.shape, np.int64)
+    for shift in ((x, y) for x in (-4, -2, 0, 2, 4) for y in (-4, -2, 0, 2, 4) if x or y):
+        other = np.roll(lowest, shift, axis=(0, 1))
+        rise = 0.3 + MAX_SLOPE * CELL_M * np.hypot(*shift)
+        seen += np.isfinite(other)
+        higher += np.isfinite(other) & finite & (other > np.where(finite, lowest, 0.0) + rise)
+    return np.where(2 * higher > seen, np.inf, lowest)
+
+
+def _slope_envelope(lowest: Float64[np.ndarray, "X Y"]) -> Float64[np.ndarray, "X Y"]:
+    """Lower the grid to the largest surface below it whose slope is limited."""
+    envelope = lowest.copy()
+    for step in (1, 2, 4):
+        for shift_x, shift_y in (
+            (1, 0),
+            (-1, 0),
+            (0, 1),
+            (0, -1),
+            (1, 1),
+            (-1, -1),
+            (1, -1),
+            (-1, 1),
+        ):
+            rise = MAX_SLOPE * CELL_M * step * np.hypot(shift_x, shift_y)
+            moved = np.roll(envelope, (step * shift_x, step * shift_y), axis=(0, 1))
+            envelope = np.minimum(envelope, moved + rise)
+    return envelope
+
+
+def _fill(
+    heights: Float64[np.ndarray, "X Y"], known: Bool[np.ndarray, "X Y"]
+) -> Float64[np.ndarray, "X Y"]:
+    """Fill unknown cells by means over ever larger windows; smooth the known ones lightly."""
+    weight = known.astype(np.float64)
+    result = np.zeros_like(heights)
+    done = np.zeros_like(known)
+    for window in (3, 7, 15, 31, 63, 127):
+        mass = ndimage.uniform_filter(weight, window, mode="constant")
+        mean = ndimage.uniform_filter(heights * weight, window, mode="constant")
+        fresh = ~done & (mass > 0.5 / window**2)
+        result[fresh] = mean[fresh] / mass[fresh]
+        done |= fresh
+    return result

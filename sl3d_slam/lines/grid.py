@@ -1,0 +1,96 @@
+"""Voxel grid and horizontal cell index, compiled."""
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def voxel_means(
+    points: np.ndarray, voxel_m: float, min_range_m: float, max_range_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Average the points of each occupied voxel, ordered by voxel.
+
+    Returns the means (V, 3), how many points each stands for (V,), the points in range sorted by
+    voxel (P, 3) and where each voxel's points start in them (V + 1,).
+    """
+    size = 1
+    while size < 2 * len(points):
+        size *= 2
+    table = np.full(size, -1, np.int64)
+    keys = np.empty(len(points), np.int64)
+    voxel_of = np.full(len(points), -1, np.int64)
+    count = np.zeros(len(points), np.int64)
+    num_voxels = 0
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        squared = x * x + y * y + z * z
+        if squared < min_range_m**2 or squared > max_range_m**2:
+            continue
+        ix = np.int64(np.floor(x / voxel_m)) + 1_000_000
+        iy = np.int64(np.floor(y / voxel_m)) + 1_000_000
+        iz = np.int64(np.floor(z / voxel_m)) + 1_000_000
+        key = (ix << 42) | (iy << 21) | iz
+        slot = (key * 0x9E3779B97F4A7C1 >> 20) & (size - 1)
+        while table[slot] >= 0 and keys[table[slot]] != key:
+            slot = (slot + 1) & (size - 1)
+        if table[slot] < 0:
+            table[slot] = num_voxels
+            keys[num_voxels] = key
+            num_voxels += 1
+        voxel_of[i] = table[slot]
+        count[table[slot]] += 1
+    return _sort_by_voxel(points, keys[:num_voxels], voxel_of, count[:num_voxels])
+
+
+@njit(cache=True)
+def _sort_by_voxel(
+    points: np.ndarray, keys: np.ndarray, voxel_of: np.ndarray, count: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    order = np.argsort(keys)
+    rank = np.empty(len(keys), np.int64)
+    start = np.zeros(len(keys) + 1, np.int64)
+    for position in range(len(order)):
+        rank[order[position]] = position
+        start[position + 1] = start[position] + count[order[position]]
+    members = np.empty((start[-1], 3))
+    filled = start[:-1].copy()
+    means = np.zeros((len(keys), 3))
+    for i in range(len(points)):
+        if voxel_of[i] < 0:
+            continue
+        voxel = rank[voxel_of[i]]
+        for axis in range(3):
+            members[filled[voxel], axis] = points[i, axis]
+            means[voxel, axis] += points[i, axis]
+        filled[voxel] += 1
+    for voxel in range(len(keys)):
+        for axis in range(3):
+            means[voxel, axis] /= start[voxel + 1] - start[voxel]
+    return means, start[1:] - start[:-1], members, start
+
+
+@njit(cache=True)
+def cell_index(
+    points: np.ndarray, cell_m: float, half_width_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sort points into square horizontal cells centred on the sensor.
+
+    Returns the order (N,) that sorts the points by cell, and where each cell starts in it
+    (size * size + 1,), cells in row-major order. Points must lie within ``half_width_m``.
+    """
+    size = int(np.ceil(2 * half_width_m / cell_m))
+    start = np.zeros(size * size + 1, np.int64)
+    cell_of = np.empty(len(points), np.int64)
+    for i in range(len(points)):
+        ix = min(max(int((points[i, 0] + half_width_m) / cell_m), 0), size - 1)
+        iy = min(max(int((points[i, 1] + half_width_m) / cell_m), 0), size - 1)
+        cell_of[i] = ix * size + iy
+        start[cell_of[i] + 1] += 1
+    for cell in range(size * size):
+        start[cell + 1] += start[cell]
+    filled = start[:-1].copy()
+    order = np.empty(len(points), np.int64)
+    for i in range(len(points)):
+        order[filled[cell_of[i]]] = i
+        filled[cell_of[i]] += 1
+    return order, start

@@ -1,0 +1,88 @@
+"""What both line finders start from: one scan, levelled, thinned, without its ground."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from sl3d_slam.config import LineSettings
+from sl3d_slam.geometry.ground import UP, heights_above_ground, up_direction
+from sl3d_slam.geometry.se3 import Points, rotation_between
+from sl3d_slam.lines.grid import cell_index, voxel_means
+from sl3d_slam.lines.sheets import nearest_ranges
+from sl3d_slam.lines.structure import CELL_M, local_structure
+
+MIN_RANGE_M = 1.5
+CLEARANCE_M = 0.25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A scan in the level frame: the sensor's origin, z against gravity as seen from the ground.
+
+    Attributes
+    ----------
+    R_level_lidar : rotation to the level frame.
+    points : (N, 3) voxel means above the ground.
+    heights : (N,) metres above the local ground.
+    counts : (N,) returns per voxel.
+    members : (P, 3) all returns in range, grouped by voxel.
+    member_start, member_stop : (N,) the group of each voxel in ``members``.
+    structure : (N, 6) see :func:`local_structure`.
+    index : horizontal cell index of ``points``.
+    ranges : nearest range per direction, see :func:`nearest_ranges`.
+    half_width_m : half the side of the indexed square.
+    """
+
+    R_level_lidar: Float64[np.ndarray, "3 3"]
+    points: Points
+    heights: Float64[np.ndarray, "N"]
+    counts: Int64[np.ndarray, "N"]
+    members: Points
+    member_start: Int64[np.ndarray, "N"]
+    member_stop: Int64[np.ndarray, "N"]
+    structure: Float64[np.ndarray, "N 6"]
+    index: tuple[Int64[np.ndarray, "N"], Int64[np.ndarray, "C"]]
+    ranges: Float64[np.ndarray, "A E"]
+    half_width_m: float
+
+    def returns_of(self, voxels: np.ndarray) -> Points:
+        """Return all returns of the given voxels."""
+        groups = [
+            self.members[first:last]
+            for first, last in zip(self.member_start[voxels], self.member_stop[voxels], strict=True)
+        ]
+        return np.concatenate(groups) if groups else np.zeros((0, 3))
+
+
+def vertical_gap_m(ranges_m: np.ndarray) -> np.ndarray:
+    """Return the largest step between neighbouring returns on an upright thing at a range."""
+    return 0.5 + 0.02 * ranges_m
+
+
+def make_scene(points_lidar: Points, settings: LineSettings) -> Scene:
+    """Thin, level and clear a scan, and describe the surroundings of each voxel."""
+    means, counts, members, start = voxel_means(
+        points_lidar, settings.voxel_size_m, MIN_RANGE_M, settings.max_range_m
+    )
+    up = up_direction(means)
+    R_level_lidar = rotation_between(up, UP)
+    heights = heights_above_ground(means, up)
+    kept = np.flatnonzero(heights > CLEARANCE_M)
+    level = np.ascontiguousarray(means[kept] @ R_level_lidar.T)
+    members = members @ R_level_lidar.T
+    index = cell_index(level, CELL_M, settings.max_range_m)
+    slab = 0.5 + 0.015 * np.linalg.norm(level, axis=1)
+    return Scene(
+        R_level_lidar=R_level_lidar,
+        points=level,
+        heights=heights[kept],
+        counts=counts[kept],
+        members=members,
+        member_start=start[kept],
+        member_stop=start[kept + 1],
+        structure=local_structure(level, *index, settings.max_range_m, slab),
+        index=index,
+        ranges=nearest_ranges(members),
+        half_width_m=settings.max_range_m,
+    )
