@@ -1,6 +1,8 @@
 """Every setting of a run, strict: an unknown key is an error that names it."""
 
-from collections.abc import Sequence
+import reprlib
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +17,7 @@ MAX_CONFIG_BYTES = 1_000_000
 class Settings(BaseModel):
     """Base class: an unknown key is an error and values never change after loading."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class InputSettings(Settings):
@@ -78,10 +80,23 @@ class LoopSettings(Settings):
 
 
 class GraphSettings(Settings):
-    """Noise of the constraints and the outlier tests of the pose graph."""
+    """Noise of the odometry and the outlier tests of the pose graph.
+
+    The sigmas are those of one scan-to-scan step; a chain of steps adds them up. The fractions
+    add to a step's sigma in proportion to how far it moved or turned. Probabilities are chi-square
+    levels with six degrees of freedom: the share of true loops that a test keeps when the
+    covariances are honest.
+    """
 
     odometry_rotation_sigma_deg: float = Field(default=0.05, gt=0)
     odometry_translation_sigma_m: float = Field(default=0.02, gt=0)
+    odometry_rotation_fraction: float = Field(default=0.005, ge=0)
+    odometry_translation_fraction: float = Field(default=0.005, ge=0)
+    odometry_check_probability: float = Field(default=0.999, gt=0, lt=1)
+    odometry_check_inflation: float = Field(default=3.0, ge=1)
+    pairwise_probability: float = Field(default=0.9999, gt=0, lt=1)
+    min_agreeing_loops: int = Field(default=3, ge=1)
+    lone_loop_max_sigma_m: float = Field(default=20.0, gt=0)
     gnc_outlier_probability: float = Field(default=0.01, gt=0, lt=1)
 
 
@@ -118,20 +133,49 @@ def load_config(path: Path | str | None = None, overrides: Sequence[str] = ()) -
         naming the file or the override and the full key.
     """
     tree = {} if path is None else _read_yaml(Path(path))
-    source = "the settings" if path is None else str(path)
+    source = "--set" if path is None else str(path)
     for override in overrides:
         _apply(tree, override)
     try:
         return SlamConfig.model_validate(tree)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "(top level)"
-        raise ConfigError(f"{source}: {key}: {first['msg']}") from None
+        problem = error.errors()[0]
+        key = ".".join(str(part) for part in problem["loc"]) or "(top level)"
+        if any(override.startswith((f"{key}=", f"{key}.")) for override in overrides):
+            source = "--set"
+        raise ConfigError(f"{source}: {_explain(key, problem)}") from None
 
 
 def dump_config(config: SlamConfig) -> str:
     """Return the resolved settings as YAML that :func:`load_config` reads back."""
     return yaml.safe_dump(config.model_dump(), sort_keys=False)
+
+
+def _explain(key: str, problem: Mapping[str, Any]) -> str:
+    if problem["type"] == "extra_forbidden":
+        return f"{key} is not a setting{_suggestion(key)}"
+    if problem["type"] == "model_type":
+        return f"{key} is a section; expected keys below it, found {reprlib.repr(problem['input'])}"
+    if problem["type"] == "value_error":
+        return f"{key}: {problem['ctx']['error']}"
+    return f"{key}: {problem['msg']}, found {reprlib.repr(problem['input'])}"
+
+
+def _suggestion(key: str) -> str:
+    keys = _all_keys(SlamConfig().model_dump())
+    leaf = key.rpartition(".")[2]
+    near = [known for known in keys if known.rpartition(".")[2] == leaf]
+    near = near or get_close_matches(key, keys, n=1, cutoff=0.75)
+    return f"; did you mean {' or '.join(near)}?" if near else ""
+
+
+def _all_keys(tree: dict[str, Any], prefix: str = "") -> list[str]:
+    keys = []
+    for name, value in tree.items():
+        keys.append(prefix + name)
+        if isinstance(value, dict):
+            keys += _all_keys(value, f"{prefix}{name}.")
+    return keys
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
@@ -141,13 +185,17 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read as a settings file ({error.strerror})") from None
-    except (yaml.YAMLError, UnicodeDecodeError):
+    except (yaml.YAMLError, ValueError, RecursionError):
         raise ConfigError(f"{path}: not valid YAML; expected 'section:' and 'key: value'") from None
     if tree is None:
         return {}
     if not isinstance(tree, dict):
         raise ConfigError(f"{path}: expected sections with keys, found a {type(tree).__name__}")
-    return tree
+    sections = SlamConfig().model_dump()
+    empty = [
+        key for key, value in tree.items() if value is None and isinstance(sections.get(key), dict)
+    ]
+    return tree | {key: {} for key in empty}
 
 
 def _apply(tree: dict[str, Any], override: str) -> None:
@@ -156,7 +204,7 @@ def _apply(tree: dict[str, Any], override: str) -> None:
         raise ConfigError(f"--set {override}: expected section.key=value")
     try:
         value = yaml.safe_load(text)
-    except yaml.YAMLError:
+    except (yaml.YAMLError, ValueError, RecursionError):
         raise ConfigError(f"--set {override}: the value is not valid YAML") from None
     *sections, leaf = key.split(".")
     for section in sections:
