@@ -1,6 +1,5 @@
 """Every setting of a run, strict: an unknown key is an error that names it."""
 
-import reprlib
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -155,10 +154,14 @@ def _explain(key: str, problem: Mapping[str, Any]) -> str:
     if problem["type"] == "extra_forbidden":
         return f"{key} is not a setting{_suggestion(key)}"
     if problem["type"] == "model_type":
-        return f"{key} is a section; expected keys below it, found {reprlib.repr(problem['input'])}"
+        return f"{key} is a section; expected keys below it, found {_show(problem['input'])}"
     if problem["type"] == "value_error":
         return f"{key}: {problem['ctx']['error']}"
-    return f"{key}: {problem['msg']}, found {reprlib.repr(problem['input'])}"
+    return f"{key}: {problem['msg']}, found {_show(problem['input'])}"
+
+
+def _show(value: object) -> str:
+    return f"a {type(value).__name__}" if isinstance(value, dict | list) else repr(value)[:80]
 
 
 def _suggestion(key: str) -> str:
@@ -178,7 +181,7 @@ def _all_keys(tree: dict[str, Any], prefix: str = "") -> list[str]:
     return keys
 
 
-def _read_yaml(path: Path) -> dict[str, Any]:
+def _read_yaml(path: Path) -> dict[Any, Any]:
     try:
         if path.stat().st_size > MAX_CONFIG_BYTES:
             raise ConfigError(f"{path}: larger than {MAX_CONFIG_BYTES} bytes, not a settings file")
