@@ -1,1 +1,1 @@
-"""Constraints in, poses out; the only import of gtsam beside the front end."""
+"""Constraints to poses: outlier tests, iSAM2, the final optimisation, g2o files."""
