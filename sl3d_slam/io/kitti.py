@@ -24,8 +24,8 @@ def is_kitti(path: Path) -> bool:
     """Tell whether a folder is a KITTI root, its ``sequences`` folder, or one sequence."""
     return (
         (path / SCANS_FOLDER).is_dir()
-        or (path / "sequences").is_dir()
         or (path.name == SCANS_FOLDER and (path.parent / "calib.txt").is_file())
+        or bool(_sequence_names(_sequences(path)))
     )
 
 
@@ -72,8 +72,8 @@ def find_sequence(path: Path, sequence: str | None) -> Path:
         if sequence is not None and sequence.zfill(2) != path.name:
             raise InputError(f"{path}: is one sequence; expected a dataset that has {sequence!r}")
         return path
-    root = path / "sequences"
-    names = sorted(p.name for p in root.glob("*") if (p / SCANS_FOLDER).is_dir())
+    root = _sequences(path)
+    names = _sequence_names(root)
     if not names:
         raise InputError(f"{path}: no KITTI sequence; expected sequences/SS/{SCANS_FOLDER}/*.bin")
     if sequence is None:
@@ -86,6 +86,15 @@ def find_sequence(path: Path, sequence: str | None) -> Path:
     if wanted not in names:
         raise InputError(f"{path}: no sequence {sequence!r}; it has {', '.join(names)}")
     return root / wanted
+
+
+def _sequences(path: Path) -> Path:
+    inner = path / "sequences"
+    return inner if inner.is_dir() else path
+
+
+def _sequence_names(root: Path) -> list[str]:
+    return sorted(p.name for p in root.glob("*") if (p / SCANS_FOLDER).is_dir())
 
 
 def elevation_offset_deg(folder: Path, settings: InputSettings) -> float:

@@ -1,6 +1,6 @@
 """sensor_msgs/PointCloud2 messages to points, as described by their own field table."""
 
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -10,28 +10,10 @@ from sl3d_slam.io.points import Cloud, cloud_from_fields, find_time_field
 _FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
-class PointField(Protocol):
-    """One entry of a message's field table."""
-
-    name: str
-    offset: int
-    datatype: int
-
-
-class PointCloud2(Protocol):
-    """The parts of the message that matter here."""
-
-    height: int
-    width: int
-    fields: list[PointField]
-    is_bigendian: bool
-    point_step: int
-    row_step: int
-    data: np.ndarray
-
-
-def cloud_from_message(message: PointCloud2, source: str) -> Cloud:
+def cloud_from_message(message: Any, source: str) -> Cloud:
     """Return points and point times of a message; padding between points and rows is skipped.
+
+    ``message`` is any object with the attributes of sensor_msgs/PointCloud2.
 
     Raises
     ------
@@ -45,7 +27,7 @@ def cloud_from_message(message: PointCloud2, source: str) -> Cloud:
     return cloud_from_fields(fields, source)
 
 
-def _as_fields(message: PointCloud2) -> np.ndarray:
+def _as_fields(message: Any) -> np.ndarray:
     order = ">" if message.is_bigendian else "<"
     time_field = find_time_field([field.name for field in message.fields])
     wanted = [

@@ -15,7 +15,7 @@ KITTI_POINT_BYTES = 16
 def natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
     """Sort key by which ``scan2`` comes before ``scan10``; ties go by the name itself."""
     parts = re.findall(r"[0-9]+|[^0-9]+", path.name)
-    key = [(0, int(p), p) if p[0].isdigit() else (1, 0, p) for p in parts]
+    key = [(0, int(p), p) if p[0] in "0123456789" else (1, 0, p) for p in parts]
     return tuple(key)
 
 
