@@ -19,6 +19,7 @@ from sl3d_slam.geometry.se3 import (
 from sl3d_slam.types import LoopRecord
 
 Poses = Float64[np.ndarray, "N 4 4"]
+TruePoses = Float64[np.ndarray, "T 4 4"]  # its own letter: that T equals N is checked here
 
 KITTI_LENGTHS_M = (100, 200, 300, 400, 500, 600, 700, 800)
 KITTI_STEP = 10
@@ -31,7 +32,7 @@ def align(points_b: Points, points_a: Points) -> Transform:
     return make_transform(R_a_b, centre_a - R_a_b @ centre_b)
 
 
-def aligned_errors_m(estimate: Poses, truth: Poses) -> Float64[np.ndarray, "N"]:
+def aligned_errors_m(estimate: Poses, truth: TruePoses) -> Float64[np.ndarray, "N"]:
     """Return each pose's distance from the truth after the best rigid alignment of all.
 
     Raises
@@ -45,7 +46,7 @@ def aligned_errors_m(estimate: Poses, truth: Poses) -> Float64[np.ndarray, "N"]:
     return np.linalg.norm(aligned - truth[:, :3, 3], axis=1)
 
 
-def ate_rmse_m(estimate: Poses, truth: Poses) -> float:
+def ate_rmse_m(estimate: Poses, truth: TruePoses) -> float:
     """Return the absolute trajectory error: RMSE over positions, rigidly aligned, no scale.
 
     The same as ``evo_ape ... -a``. Sturm et al., IROS 2012.
@@ -58,7 +59,7 @@ def ate_rmse_m(estimate: Poses, truth: Poses) -> float:
     return float(np.sqrt(np.mean(aligned_errors_m(estimate, truth) ** 2)))
 
 
-def kitti_errors(estimate: Poses, truth: Poses) -> tuple[float, float] | None:
+def kitti_errors(estimate: Poses, truth: TruePoses) -> tuple[float, float] | None:
     """Return the KITTI odometry errors: (translation in percent, rotation in degrees per metre).
 
     Relative errors over all stretches of 100, 200, ... 800 m of true path that start at every
@@ -89,26 +90,27 @@ def kitti_errors(estimate: Poses, truth: Poses) -> tuple[float, float] | None:
 
 
 def count_false_loops(
-    loops: Sequence[LoopRecord], truth: Poses, max_m: float = 2.0, max_deg: float = 5.0
+    loops: Sequence[LoopRecord], truth: TruePoses, max_m: float = 2.0, max_deg: float = 5.0
 ) -> int:
     """Count accepted loops whose ``T_target_query`` is farther from the truth than allowed."""
     accepted = [loop for loop in loops if loop.status == "accepted"]
     return sum(_is_false(loop, truth, max_m, max_deg) for loop in accepted)
 
 
-def _is_false(loop: LoopRecord, truth: Poses, max_m: float, max_deg: float) -> bool:
+def _is_false(loop: LoopRecord, truth: TruePoses, max_m: float, max_deg: float) -> bool:
     T_truth = invert(truth[loop.target_scan]) @ truth[loop.query_scan]
     T_error = invert(T_truth) @ loop.T_target_query
-    return distance_m(T_error) > max_m or np.degrees(rotation_angle_rad(T_error)) > max_deg
+    angle_deg = float(np.degrees(rotation_angle_rad(T_error)))
+    return distance_m(T_error) > max_m or angle_deg > max_deg
 
 
-def _relative_error(estimate: Poses, truth: Poses, first: int, last: int) -> Transform:
+def _relative_error(estimate: Poses, truth: TruePoses, first: int, last: int) -> Transform:
     T_true = invert(truth[first]) @ truth[last]
     T_estimated = invert(estimate[first]) @ estimate[last]
     return invert(T_estimated) @ T_true
 
 
-def _check_pairs(estimate: Poses, truth: Poses) -> None:
+def _check_pairs(estimate: Poses, truth: TruePoses) -> None:
     if len(estimate) != len(truth) or len(truth) == 0:
         raise InputError(
             f"expected one true pose for each estimated pose, found {len(truth)} for "

@@ -1,0 +1,120 @@
+"""The frame of the command line: verbs, exit statuses, one sentence for the user's errors."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+import typer
+import yaml
+from typer.testing import CliRunner
+
+import sl3d_slam
+from sl3d_slam.cli.errors import Verbs
+from sl3d_slam.cli.main import app
+from sl3d_slam.config import SlamConfig
+from sl3d_slam.errors import InputError
+
+
+def sl3d(*arguments, **options):
+    command = [sys.executable, "-c", "from sl3d_slam.cli.main import main; main()", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, **options)
+
+
+def verbs_that_fail():
+    """A command line framed like sl3d's whose verbs fail in every way there is."""
+    failing = typer.Typer(cls=Verbs, pretty_exceptions_enable=False)
+
+    @failing.command()
+    def sentence():
+        raise InputError("scan.bin: 1001 bytes is not a whole number of points")
+
+    @failing.command()
+    def interrupt():
+        raise KeyboardInterrupt
+
+    @failing.command()
+    def bug():
+        raise ZeroDivisionError("a bug")
+
+    @failing.command("no")
+    def answer_is_no():
+        raise typer.Exit(1)
+
+    return failing
+
+
+def test_help_lists_the_verbs_and_the_exit_statuses():
+    result = CliRunner().invoke(app, ["--help"])
+    assert result.exit_code == 0
+    assert "config" in result.output
+    assert "Exit status" in result.output
+
+
+@pytest.mark.parametrize("verb", [command.callback.__name__ for command in app.registered_commands])
+def test_every_verb_explains_itself(verb):
+    name = next(c.name or verb for c in app.registered_commands if c.callback.__name__ == verb)
+    result = CliRunner().invoke(app, [name, "--help"])
+    assert result.exit_code == 0, result.output
+
+
+def test_version_is_printed():
+    result = CliRunner().invoke(app, ["--version"])
+    assert (result.exit_code, result.output.strip()) == (0, f"sl3d {sl3d_slam.__version__}")
+
+
+@pytest.mark.parametrize("arguments", [["bogus"], ["config", "--bogus"], ["config", "extra"]])
+def test_wrong_usage_is_status_2(arguments):
+    assert CliRunner().invoke(app, arguments).exit_code == 2
+
+
+def test_users_error_is_one_sentence_on_stderr_and_status_2():
+    result = CliRunner().invoke(verbs_that_fail(), ["sentence"])
+    assert result.exit_code == 2
+    assert result.stderr == "sl3d: scan.bin: 1001 bytes is not a whole number of points\n"
+    assert result.stdout == ""
+
+
+def test_interrupt_is_status_130_with_a_word():
+    result = CliRunner().invoke(verbs_that_fail(), ["interrupt"])
+    assert result.exit_code == 130
+    assert "sl3d: interrupted" in result.stderr
+
+
+def test_answer_no_is_status_1():
+    assert CliRunner().invoke(verbs_that_fail(), ["no"]).exit_code == 1
+
+
+def test_bug_keeps_its_traceback():
+    result = CliRunner().invoke(verbs_that_fail(), ["bug"])
+    assert isinstance(result.exception, ZeroDivisionError)
+
+
+def test_config_prints_what_a_run_would_use(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("keyframes:\n  min_distance_m: 7.5\n")
+    result = CliRunner().invoke(app, ["config", "--config", str(path), "--set", "seed=3"])
+    expected = SlamConfig().model_dump()
+    expected["seed"], expected["keyframes"]["min_distance_m"] = 3, 7.5
+    assert result.exit_code == 0
+    assert yaml.safe_load(result.stdout) == expected
+
+
+def test_config_names_a_wrong_key(tmp_path):
+    result = sl3d("config", "--set", "input.max_rnge_m=3", cwd=tmp_path)
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert result.stderr == (
+        "sl3d: --set: input.max_rnge_m is not a setting; did you mean input.max_range_m?\n"
+    )
+
+
+def test_reader_that_stops_reading_is_no_error():
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    command = [sys.executable, "-c", "from sl3d_slam.cli.main import main; main()", "config"]
+    with os.fdopen(write_end, "w") as closed:
+        result = subprocess.run(
+            command, stdout=closed, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert result.stderr == ""
