@@ -10,7 +10,7 @@ CHECKS = {
     "layout": ("-m", "ruff", "format", "--check", *PLACES),
     "lint": ("-m", "ruff", "check", *PLACES),
     "types": ("-m", "mypy", "--strict", "sl3d_slam"),
-    "imports": ("-c", "from importlinter.cli import lint_imports_command as run; run(["--no-cache"])"),
+    "imports": ("-c", "from importlinter.cli import lint_imports_command as run; run()"),
 }
 
 
