@@ -108,8 +108,8 @@ def levenberg_marquardt(graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values
     """Run gtsam's optimiser with tolerances that reach the optimum to well below a millimetre."""
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(100)
-    parameters.setRelativeErrorTol(1e-8)
-    parameters.setAbsoluteErrorTol(1e-8)
+    parameters.setRelativeErrorTol(1e-12)
+    parameters.setAbsoluteErrorTol(1e-10)
     optimizer = gtsam.LevenbergMarquardtOptimizer(graph, initial, parameters)
     try:
         solution = optimizer.optimize()

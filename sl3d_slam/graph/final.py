@@ -1,0 +1,121 @@
+"""The last optimisation: every scan is a variable, every accepted loop a factor, noise Gaussian."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import gtsam
+import numpy as np
+from jaxtyping import Float64
+
+from sl3d_slam.config import GraphSettings
+from sl3d_slam.errors import GraphError
+from sl3d_slam.geometry.se3 import Transform, invert
+from sl3d_slam.graph.batched import Transforms, inverts
+from sl3d_slam.graph.g2o import G2oGraph, format_g2o
+from sl3d_slam.graph.noise import Matrix6, step_covariance
+from sl3d_slam.graph.solve import Edge, Prior, anchor, optimise
+from sl3d_slam.types import LoopConstraint
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FinalGraph:
+    """A solved graph over all scans; its keys are scan indices.
+
+    Attributes
+    ----------
+    T_world_lidar : (N, 4, 4), the world frame is the odometry's at the first scan.
+    edges : odometry steps in order, then loops.
+    priors : what holds the world frame.
+    """
+
+    T_world_lidar: Transforms
+    edges: list[Edge]
+    priors: list[Prior]
+
+    @property
+    def poses(self) -> dict[int, Transform]:
+        """Return ``T_world_lidar`` by scan index."""
+        return dict(enumerate(self.T_world_lidar))
+
+    def to_g2o(self) -> str:
+        """Return a g2o file's text: all scans, odometry and loops, the first scan held."""
+        return format_g2o(G2oGraph(self.poses, self.edges, fixed=[0] if self.poses else []))
+
+
+def optimise_all_scans(
+    T_odom_lidar: Transforms,
+    scan_of_keyframe: Mapping[int, int],
+    estimates: Mapping[int, Transform],
+    loops: Sequence[LoopConstraint],
+    settings: GraphSettings,
+) -> FinalGraph:
+    """Spread the accepted loops over every scan of a run.
+
+    Parameters
+    ----------
+    T_odom_lidar : (N, 4, 4) odometry pose of every scan.
+    scan_of_keyframe : scan index of each keyframe id.
+    estimates : live ``T_world_lidar`` of keyframes, the start; may be empty.
+    loops : the loops to believe, between keyframe ids; they weigh by their information alone.
+
+    Raises
+    ------
+    GraphError
+        for poses that are not finite, unknown keyframes and rank-deficient loops.
+    """
+    if not np.isfinite(T_odom_lidar).all():
+        raise GraphError("the odometry holds poses that are not finite")
+    if len(T_odom_lidar) == 0:
+        return FinalGraph(np.zeros((0, 4, 4)), [], [])
+    edges = _odometry_edges(T_odom_lidar, settings)
+    edges += [_loop_edge(loop, scan_of_keyframe) for loop in loops]
+    priors = [anchor(0, T_odom_lidar[0])]
+    anchors = {_scan_of(key, scan_of_keyframe): pose for key, pose in estimates.items()}
+    start = _spread(T_odom_lidar, anchors)
+    _, values = optimise(dict(enumerate(start)), edges, priors)
+    poses = np.array([values.atPose3(index).matrix() for index in range(len(T_odom_lidar))])
+    return FinalGraph(poses, edges, priors)
+
+
+def marginal_covariances(
+    graph: FinalGraph, scan_indices: Sequence[int]
+) -> Float64[np.ndarray, "K 6 6"]:
+    """Return the covariance of the chosen scans' poses given all factors.
+
+    Rotation first, each at its own lidar frame, relative to the first scan.
+    """
+    factors, values = optimise(graph.poses, graph.edges, graph.priors)
+    marginals = gtsam.Marginals(factors, values)
+    found: list[Matrix6] = [marginals.marginalCovariance(int(index)) for index in scan_indices]
+    return np.array(found).reshape(-1, 6, 6)
+
+
+def _odometry_edges(T_odom_lidar: Transforms, settings: GraphSettings) -> list[Edge]:
+    steps = inverts(T_odom_lidar[:-1]) @ T_odom_lidar[1:]
+    return [
+        Edge(k, k + 1, step, np.linalg.inv(step_covariance(step, settings)))
+        for k, step in enumerate(steps)
+    ]
+
+
+def _loop_edge(loop: LoopConstraint, scan_of_keyframe: Mapping[int, int]) -> Edge:
+    target = _scan_of(loop.target_id, scan_of_keyframe)
+    query = _scan_of(loop.query_id, scan_of_keyframe)
+    return Edge(target, query, loop.T_target_query, loop.information)
+
+
+def _scan_of(keyframe_id: int, scan_of_keyframe: Mapping[int, int]) -> int:
+    if keyframe_id not in scan_of_keyframe:
+        raise GraphError(f"no scan belongs to keyframe {keyframe_id}")
+    return scan_of_keyframe[keyframe_id]
+
+
+def _spread(T_odom_lidar: Transforms, anchors: Mapping[int, Transform]) -> Transforms:
+    """Start every scan from the keyframe before it: ``T_world_kf T_kf_odom T_odom_lidar``."""
+    start = T_odom_lidar.copy()
+    bounds = [*sorted(anchors), len(T_odom_lidar)]
+    for first, last in pairwise(bounds):
+        T_world_odom = anchors[first] @ invert(T_odom_lidar[first])
+        start[first:last] = T_world_odom @ T_odom_lidar[first:last]
+    return start
