@@ -4,7 +4,9 @@ Hazards of the library that this file meets: its settings can be changed by envi
 (``KISS_ICP_*``), so every value is given here; its deskewing aborts the process when all point
 times are equal; and its threads add up sums in a different order from run to run, which changes
 the last bits of a pose. Each pose is therefore rounded to a grid far below the sensor's noise
-before it is used, so that two runs agree bit for bit.
+before it is used, so that two runs agree bit for bit. A fourth hazard is its second scan: with no
+velocity known, a moving vehicle's scan rings on the ground hold ICP at standstill (measured on a
+KITTI drive at 14 m/s: 0.06 m found, 1.44 m true), so that one scan is tried from several starts.
 """
 
 import numpy as np
@@ -21,14 +23,24 @@ from kiss_icp.preprocess import get_preprocessor
 from kiss_icp.registration import get_registration
 from kiss_icp.threshold import get_threshold_estimator
 from kiss_icp.voxelization import voxel_down_sample
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from sl3d_slam.config import InputSettings, OdometrySettings
-from sl3d_slam.geometry.se3 import Points, Transform, invert, make_transform
+from sl3d_slam.geometry.se3 import (
+    Points,
+    Transform,
+    invert,
+    make_transform,
+    transform_points,
+)
 from sl3d_slam.types import RegisteredScan, Scan
 
 TRANSLATION_GRID_M = 1e-5
 QUATERNION_GRID = 1e-7
+START_STEP_M = 2.0
+START_DISTANCE_LIMIT_M = 0.5
+START_GAIN = 0.95
 
 
 class Odometry:
@@ -47,6 +59,8 @@ class Odometry:
         self._local_map = get_voxel_hash_map(config)
         self._T_odom_last: Transform = np.eye(4)
         self._T_last_next: Transform = np.eye(4)
+        self._first_points: Points | None = None
+        self._count = 0
 
     def register(self, scan: Scan) -> RegisteredScan:
         """Deskew a scan, find its pose in the odometry frame and add it to the local map."""
@@ -54,27 +68,60 @@ class Odometry:
             scan.points_lidar, _usable_times(scan), self._T_last_next
         )
         map_points = voxel_down_sample(points, 0.5 * self._voxel_size_m)
-        T_odom_lidar = self._align(voxel_down_sample(map_points, 1.5 * self._voxel_size_m))
+        T_odom_lidar = self._find_pose(map_points)
+        self._first_points = points if self._count == 0 else None
+        self._count += 1
         self._local_map.update(map_points, T_odom_lidar)
         self._T_last_next = invert(self._T_odom_last) @ T_odom_lidar
         self._T_odom_last = T_odom_lidar
         return RegisteredScan(scan.index, scan.stamp_s, points, T_odom_lidar)
 
-    def _align(self, points: Points) -> Transform:
+    def _find_pose(self, map_points: Points) -> Transform:
         """Find the pose near the constant-velocity guess, and learn how far off the guess was."""
         guess = self._T_odom_last @ self._T_last_next
+        source = voxel_down_sample(map_points, 1.5 * self._voxel_size_m)
+        if self._first_points is not None:
+            T_odom_lidar = self._best_of_starts(source, map_points, cKDTree(self._first_points))
+        else:
+            T_odom_lidar = self._align(source, guess)
+        self._threshold.update_model_deviation(invert(guess) @ T_odom_lidar)
+        return T_odom_lidar
+
+    def _align(self, source: Points, guess: Transform) -> Transform:
         sigma_m = self._threshold.get_threshold()
-        T_odom_lidar = _on_grid(
+        return _on_grid(
             self._registration.align_points_to_map(
-                points=points,
+                points=source,
                 voxel_map=self._local_map,
                 initial_guess=guess,
                 max_correspondance_distance=3.0 * sigma_m,
                 kernel=sigma_m,
             )
         )
-        self._threshold.update_model_deviation(invert(guess) @ T_odom_lidar)
-        return T_odom_lidar
+
+    def _best_of_starts(
+        self, source: Float64[np.ndarray, "S 3"], points: Points, first: cKDTree
+    ) -> Transform:
+        """Align from standstill and from steps in four directions; standstill wins near ties."""
+        best, best_gap_m = np.eye(4), np.inf
+        for step in _starts():
+            T_odom_lidar = self._align(source, make_transform(np.eye(3), step))
+            gap_m = _mean_gap_m(transform_points(T_odom_lidar, points), first)
+            if gap_m < START_GAIN * best_gap_m:
+                best, best_gap_m = T_odom_lidar, gap_m
+        return best
+
+
+def _starts() -> Float64[np.ndarray, "S 3"]:
+    """Return the second scan's starting positions in the frame of the first, standstill first."""
+    directions = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]])
+    return np.vstack([np.zeros(3), START_STEP_M * directions])
+
+
+def _mean_gap_m(points: Points, first: cKDTree) -> float:
+    """Return the mean distance of points to the first scan, each counted up to a limit."""
+    gaps_m, _ = first.query(points, distance_upper_bound=START_DISTANCE_LIMIT_M)
+    return float(np.minimum(gaps_m, START_DISTANCE_LIMIT_M).mean())
 
 
 def _kiss_config(settings: OdometrySettings, scan_input: InputSettings) -> KISSConfig:
