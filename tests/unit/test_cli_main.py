@@ -109,12 +109,22 @@ def test_config_names_a_wrong_key(tmp_path):
     )
 
 
-def test_reader_that_stops_reading_is_no_error():
+@pytest.mark.parametrize("verb", ["config", "buffered"])
+def test_reader_that_stops_reading_is_no_error(verb):
+    code = (
+        "from sl3d_slam.cli.main import app, main\n"
+        "@app.command()\n"
+        "def buffered(): print('stays in the buffer until the end')\n"
+        "main()"
+    )
     read_end, write_end = os.pipe()
     os.close(read_end)
-    command = [sys.executable, "-c", "from sl3d_slam.cli.main import main; main()", "config"]
     with os.fdopen(write_end, "w") as closed:
         result = subprocess.run(
-            command, stdout=closed, stderr=subprocess.PIPE, text=True, check=False
+            [sys.executable, "-c", code, verb],
+            stdout=closed,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
         )
     assert result.stderr == ""
