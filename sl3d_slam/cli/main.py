@@ -4,8 +4,6 @@ A verb's file imports nothing but typer and the standard library at its top, so 
 ``sl3d --help`` answers at once; what the verb needs it imports when it runs.
 """
 
-import os
-import sys
 from typing import Annotated
 
 import typer
@@ -13,6 +11,7 @@ import typer
 from sl3d_slam import __version__
 from sl3d_slam.cli.config import config
 from sl3d_slam.cli.errors import Verbs
+from sl3d_slam.cli.simulate import simulate
 
 app = typer.Typer(
     cls=Verbs,
@@ -21,6 +20,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+app.command()(simulate)
 app.command()(config)
 
 
@@ -47,15 +47,5 @@ def _frame(
 
 
 def main() -> None:
-    """Run the command line; a reader that stops reading (``sl3d ... | head``) is no error."""
-    try:
-        app(prog_name="sl3d")
-    finally:
-        _close_stdout()
-
-
-def _close_stdout() -> None:
-    try:
-        sys.stdout.flush()
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    """Run the command line."""
+    app(prog_name="sl3d")

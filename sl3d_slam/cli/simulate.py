@@ -8,7 +8,7 @@ import typer
 from sl3d_slam.errors import InputError
 
 
-def simulate(  # noqa: PLR0913 - one argument an option
+def simulate(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="Where to write the sequence.")],
     trajectory: Annotated[
         Path | None, typer.Option(help="Build the town along this KITTI trajectory.")
