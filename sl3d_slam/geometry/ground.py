@@ -36,7 +36,7 @@ def up_direction(points_lidar: Points) -> Float64[np.ndarray, "3"]:
         points_lidar[_in_horizontal_range(points_lidar, 2.0, FIT_RANGE_M)], FIT_CELL_M / 3
     )
     up = UP
-    for scale_m in (0.5, 0.25, 0.15):
+    for scale_m in (0.4, 0.15):
         level = near @ rotation_between(up, UP).T
         lowest = _lowest_per_cell(level, FIT_CELL_M)
         if len(lowest) < MIN_CELLS:
@@ -61,10 +61,14 @@ def heights_above_ground(
     if len(level) == 0:
         return np.zeros(0)
     ground = _ground_grid(level)
-    position = (np.clip(level[:, :2], -GRID_HALF_WIDTH_M, GRID_HALF_WIDTH_M - 1e-6)) / CELL_M
-    position += GRID_HALF_WIDTH_M / CELL_M - 0.5
-    heights = ndimage.map_coordinates(ground, position.T, order=1, mode="nearest")
-    return level[:, 2] - heights
+    last = len(ground) - 1
+    position = np.clip((level[:, :2] + GRID_HALF_WIDTH_M) / CELL_M - 0.5, 0.0, last - 1e-6)
+    cell = position.astype(np.int64)
+    x, y = (position - cell).T
+    flat, corner = ground.ravel(), cell[:, 0] * len(ground) + cell[:, 1]
+    below = flat[corner] * (1 - y) + flat[corner + 1] * y
+    above = flat[corner + len(ground)] * (1 - y) + flat[corner + len(ground) + 1] * y
+    return level[:, 2] - below * (1 - x) - above * x
 
 
 def ground_mask(
@@ -90,7 +94,7 @@ def _lowest_per_cell(points: Points, cell_m: float) -> Points:
 
 
 def _robust_plane_normal(points: Points, final_scale_m: float) -> Float64[np.ndarray, "3"]:
-    """Fit ``z = a x + b y + c`` with Geman-McClure weights whose scale shrinks; near cells count more."""
+    """Fit ``z = a x + b y + c`` with weights that narrow; near cells count more."""
     weights_near = 1.0 / (5.0 + np.hypot(points[:, 0], points[:, 1]))
     design = np.c_[points[:, :2], np.ones(len(points))]
     solution = np.array([0.0, 0.0, np.median(points[:, 2])])

@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 
 from sl3d_slam.geometry.se3 import Points
 from sl3d_slam.lines.scene import Scene, vertical_gap_m
-from sl3d_slam.lines.sheets import hidden_share
+from sl3d_slam.lines.structure import MIN_CORE_BINS
+from sl3d_slam.lines.view import hidden_share
 
-MIN_CORE_BINS = 4
 MAX_RING_SHARE = 0.34
 JOIN_RADIUS_M = 0.35
 MAX_RADIUS_M = 0.45
@@ -107,7 +107,7 @@ def _judge(
     fit: tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "2"], float, int],
     min_length_m: float,
 ) -> Upright | None:
-    """Measure the extent of a column and refuse what is short, squat or a slit between occluders."""
+    """Measure a column and refuse what is short, squat or a slit between occluders."""
     axis, slope, radius, num_points = fit
     z, heights = scene.points[voxels, 2], scene.heights[voxels]
     low, high = float(z.min()), float(z.max())

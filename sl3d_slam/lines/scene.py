@@ -9,8 +9,8 @@ from sl3d_slam.config import LineSettings
 from sl3d_slam.geometry.ground import UP, heights_above_ground, up_direction
 from sl3d_slam.geometry.se3 import Points, rotation_between
 from sl3d_slam.lines.grid import cell_index, voxel_means
-from sl3d_slam.lines.sheets import nearest_ranges
 from sl3d_slam.lines.structure import CELL_M, local_structure
+from sl3d_slam.lines.view import nearest_ranges
 
 MIN_RANGE_M = 1.5
 CLEARANCE_M = 0.25
@@ -26,7 +26,7 @@ class Scene:
     points : (N, 3) voxel means above the ground.
     heights : (N,) metres above the local ground.
     counts : (N,) returns per voxel.
-    members : (P, 3) all returns in range, grouped by voxel.
+    members : (P, 3) all returns in range, grouped by voxel, still in the lidar frame.
     member_start, member_stop : (N,) the group of each voxel in ``members``.
     structure : (N, 6) see :func:`local_structure`.
     index : horizontal cell index of ``points``.
@@ -46,13 +46,25 @@ class Scene:
     ranges: Float64[np.ndarray, "A E"]
     half_width_m: float
 
+    def around(self, place: Float64[np.ndarray, "2"], radius_m: float) -> Int64[np.ndarray, "M"]:
+        """Return the voxels in the square of half side ``radius_m`` (or a cell more) at a place."""
+        order, start = self.index
+        size = int(np.ceil(2 * self.half_width_m / CELL_M))
+        low = np.clip((place - radius_m + self.half_width_m) // CELL_M, 0, size - 1).astype(int)
+        high = np.clip((place + radius_m + self.half_width_m) // CELL_M, 0, size - 1).astype(int)
+        rows = [
+            order[start[row * size + low[1]] : start[row * size + high[1] + 1]]
+            for row in range(low[0], high[0] + 1)
+        ]
+        return np.concatenate(rows)
+
     def returns_of(self, voxels: np.ndarray) -> Points:
         """Return all returns of the given voxels."""
         groups = [
             self.members[first:last]
             for first, last in zip(self.member_start[voxels], self.member_stop[voxels], strict=True)
         ]
-        return np.concatenate(groups) if groups else np.zeros((0, 3))
+        return np.concatenate(groups) @ self.R_level_lidar.T if groups else np.zeros((0, 3))
 
 
 def vertical_gap_m(ranges_m: np.ndarray) -> np.ndarray:
@@ -70,7 +82,6 @@ def make_scene(points_lidar: Points, settings: LineSettings) -> Scene:
     heights = heights_above_ground(means, up)
     kept = np.flatnonzero(heights > CLEARANCE_M)
     level = np.ascontiguousarray(means[kept] @ R_level_lidar.T)
-    members = members @ R_level_lidar.T
     index = cell_index(level, CELL_M, settings.max_range_m)
     slab = 0.5 + 0.015 * np.linalg.norm(level, axis=1)
     return Scene(
@@ -83,6 +94,6 @@ def make_scene(points_lidar: Points, settings: LineSettings) -> Scene:
         member_stop=start[kept + 1],
         structure=local_structure(level, *index, settings.max_range_m, slab),
         index=index,
-        ranges=nearest_ranges(members),
+        ranges=nearest_ranges(members, R_level_lidar),
         half_width_m=settings.max_range_m,
     )
