@@ -67,7 +67,10 @@ class MatchingSettings(Settings):
     inlier_distance_m: float = Field(default=0.6, gt=0)
     min_inliers: int = Field(default=3, ge=2)
     max_hypotheses: int = Field(default=3000, ge=1)
-    min_overlap: float = Field(default=0.5, gt=0, le=1)
+    cloud_voxel_m: float = Field(default=0.5, gt=0)
+    min_overlap: float = Field(default=0.3, gt=0, le=1)
+    min_visibility: float = Field(default=0.85, gt=0, le=1)
+    min_agreeing_points: int = Field(default=600, ge=1)
 
 
 class LoopSettings(Settings):
@@ -104,9 +107,12 @@ class MapSettings(Settings):
 
     merge_distance_m: float = Field(default=0.4, gt=0)
     merge_angle_deg: float = Field(default=8.0, gt=0)
+    merge_gap_m: float = Field(default=1.0, ge=0)
     min_support: int = Field(default=2, ge=1)
+    min_seen_share: float = Field(default=0.15, ge=0, le=1)
     clouds: bool = True
     cloud_voxel_m: float = Field(default=0.8, gt=0)
+    cloud_min_keyframes: int = Field(default=2, ge=1)
 
 
 class SlamConfig(Settings):

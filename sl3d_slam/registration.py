@@ -1,79 +1,101 @@
 """Where is one scan in the frame of another? No first guess, no sampling, a reasoned no.
 
-Lines propose every pose, a bird's-eye field of the coarse clouds judges the best few thousand,
-GICP refines the few that are left, and the visibility test decides.
+Standing lines propose every pose, a bird's-eye field of the coarse clouds judges the best few
+thousand, GICP refines the few that are left, and what each scan saw through decides.
 """
 
-from dataclasses import dataclass
-from functools import cached_property
-
 import numpy as np
-from jaxtyping import Float64
 
 from sl3d_slam.config import MatchingSettings
-from sl3d_slam.geometry.se3 import Points, Transform, from_yaw, invert, transform_points
-from sl3d_slam.matching import dense, field, visibility
-from sl3d_slam.matching.consistency import enumerate_poses, thin_poses
-from sl3d_slam.matching.verticals import Verticals, find_verticals, levelling
-from sl3d_slam.types import View
+from sl3d_slam.errors import InputError
+from sl3d_slam.geometry.se3 import Points
+from sl3d_slam.matching import field
+from sl3d_slam.matching.consistency import PlanarPoses, enumerate_poses, thin_poses
+from sl3d_slam.matching.judge import (
+    Evidence,
+    gather_evidence,
+    matched_lines,
+    objection,
+    refusal,
+    to_registration,
+)
+from sl3d_slam.matching.prepared import PreparedView, lift
+from sl3d_slam.matching.solve import line_distances_m, refine_on_lines
+from sl3d_slam.matching.verticals import up_of_lines
+from sl3d_slam.matching.views import make_view, view_of_lines
+from sl3d_slam.types import LineSet, Registration
 
 DISTINCT_M = 2.0
 DISTINCT_RAD = np.radians(8.0)
+NUM_REFINED = 3
+LINE_VOTE = 0.05  # what one agreeing line adds to the mean field value
+CLEAR_MARGIN = 0.85  # the second place may have at most this share of the best one's lines
 
 
-class PreparedView:
-    """A view with what matching derives from it, each part made when first needed."""
+def register_lines(
+    source: LineSet,
+    target: LineSet,
+    clouds: tuple[Points, Points] | None = None,
+    settings: MatchingSettings | None = None,
+) -> Registration:
+    """Find ``T_target_source`` from the lines of two scans, with no first guess.
 
-    def __init__(self, view: View, settings: MatchingSettings) -> None:
-        self.view = view
-        self._settings = settings
+    Parameters
+    ----------
+    source, target : lines of each scan in its lidar frame (x forward, y left, z up; up to 25
+        degrees of tilt).
+    clouds : (source_points, target_points), each (N, 3) metres in the same lidar frames: poses are
+        then verified and refined densely. Without them the lines decide alone; parallel poles leave
+        height, roll and pitch free, which the information matrix shows.
+    settings : tolerances; defaults where None.
 
-    @cached_property
-    def T_level_lidar(self) -> Transform:
-        """The turn that makes the frame level."""
-        return levelling(self.view.up)
-
-    @cached_property
-    def verticals(self) -> Verticals:
-        """The standing lines in the levelled frame."""
-        angle = np.radians(2.0 * self._settings.angle_tolerance_deg)
-        return find_verticals(self.view.lines, self.T_level_lidar, angle)
-
-    @cached_property
-    def level_points(self) -> Points:
-        """The coarse cloud in the levelled frame."""
-        return transform_points(self.T_level_lidar, self.view.cloud.astype(np.float64))
-
-    @cached_property
-    def field(self) -> field.StructureField:
-        """The coarse cloud seen from above."""
-        return field.build_field(self.view, self.T_level_lidar)
-
-    @cached_property
-    def image(self) -> np.ndarray:
-        """The coarse cloud seen from the sensor."""
-        return visibility.range_image(self.level_points)
-
-    @cached_property
-    def dense(self) -> dense.DenseCloud | None:
-        """The coarse cloud ready for GICP."""
-        return dense.prepare(self.view.cloud)
+    Returns
+    -------
+    Registration, whose ``information`` is in GTSAM's order (rotation first) at the source frame;
+    ``success=False`` carries a reason and no pose.
+    """
+    settings = settings or MatchingSettings()
+    if clouds is None:
+        views = [view_of_lines(lines, up_of_lines(lines)) for lines in (source, target)]
+        prepared = [PreparedView(view, settings) for view in views]
+        return _register_lines_alone(prepared[0], prepared[1], settings)
+    checked = [
+        _checked_cloud(cloud, name)
+        for cloud, name in zip(clouds, ("source", "target"), strict=True)
+    ]
+    views = [
+        make_view(cloud, lines, settings.cloud_voxel_m)
+        for cloud, lines in zip(checked, (source, target), strict=True)
+    ]
+    return register_views(
+        PreparedView(views[0], settings), PreparedView(views[1], settings), settings
+    )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Hypothesis:
-    """One refined pose and what speaks for it."""
-
-    T_target_source: Transform
-    hessian: Float64[np.ndarray, "6 6"]
-    overlap: float
-    seen: visibility.Visibility
+def register_views(
+    source: PreparedView, target: PreparedView, settings: MatchingSettings
+) -> Registration:
+    """Find ``T_target_source`` of two views with clouds."""
+    poses = planar_seeds(source, target, settings)
+    if len(poses) == 0:
+        return refusal("no two standing lines of one scan fit two of the other")
+    best: Evidence | None = None
+    for pose in poses[distinct(poses, NUM_REFINED)]:
+        evidence = gather_evidence(source, target, lift(source, target, pose), settings)
+        if evidence is None:
+            return refusal("a cloud has too few points to verify a pose with")
+        if not objection(evidence, settings):
+            return to_registration(evidence, "")
+        if best is None or evidence.strength > best.strength:
+            best = evidence
+    assert best is not None
+    return to_registration(best, objection(best, settings))
 
 
 def planar_seeds(
     source: PreparedView, target: PreparedView, settings: MatchingSettings
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return distinct planar poses (yaw, x, y) and their combined score, best first."""
+) -> PlanarPoses:
+    """Return planar poses (yaw, x, y) of levelled frames, best first by fields and lines."""
     poses, line_scores = enumerate_poses(
         source.verticals,
         target.verticals,
@@ -81,57 +103,68 @@ def planar_seeds(
         settings.inlier_distance_m,
     )
     poses, line_scores = thin_poses(poses, line_scores, settings.max_hypotheses)
-    return rank_poses(source, target, poses, line_scores)
+    scores = field_agreement(source, target, poses) + LINE_VOTE * line_scores
+    return poses[np.argsort(-scores, kind="stable")]
 
 
-def rank_poses(
-    source: PreparedView, target: PreparedView, poses: np.ndarray, line_scores: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Order planar poses by the fields of both sides and the lines together."""
+def field_agreement(source: PreparedView, target: PreparedView, poses: PlanarPoses) -> np.ndarray:
+    """Return the fields' mean values under each pose, both ways added: in [-1.2, 2]."""
     forward = field.score_poses(source.field, target.field, poses)
     backward = field.score_poses(target.field, source.field, field.invert_poses(poses))
-    scores = forward + backward + 0.05 * line_scores
-    order = np.argsort(-scores, kind="stable")
-    return poses[order], scores[order]
+    return forward + backward
 
 
-def distinct(poses: np.ndarray, limit: int) -> np.ndarray:
+def distinct(poses: PlanarPoses, limit: int) -> np.ndarray:
     """Return indices of the first poses that differ from all chosen before them."""
     chosen: list[int] = []
     for k in range(len(poses)):
-        apart = [
-            np.hypot(*(poses[k, 1:] - poses[c, 1:])) > DISTINCT_M
-            or abs(np.angle(np.exp(1j * (poses[k, 0] - poses[c, 0])))) > DISTINCT_RAD
-            for c in chosen
-        ]
-        if all(apart):
+        shift = np.hypot(*(poses[chosen, 1:] - poses[k, 1:]).T)
+        turn = np.abs(np.angle(np.exp(1j * (poses[chosen, 0] - poses[k, 0]))))
+        if np.all((shift > DISTINCT_M) | (turn > DISTINCT_RAD)):
             chosen.append(k)
             if len(chosen) == limit:
                 break
     return np.array(chosen, np.int64)
 
 
-def lift(source: PreparedView, target: PreparedView, pose: np.ndarray) -> Transform:
-    """Turn a planar pose of levelled frames into ``T_target_source``; the ground gives z."""
-    at_source = _ground_height_m(source, np.zeros(2))
-    at_target = _ground_height_m(target, pose[1:])
-    T_level_level = from_yaw(pose[0], np.array([pose[1], pose[2], at_target - at_source]))
-    return invert(target.T_level_lidar) @ T_level_level @ source.T_level_lidar
+def _register_lines_alone(
+    source: PreparedView, target: PreparedView, settings: MatchingSettings
+) -> Registration:
+    poses, scores = enumerate_poses(
+        source.verticals,
+        target.verticals,
+        settings.distance_tolerance_m,
+        settings.inlier_distance_m,
+    )
+    poses, scores = thin_poses(poses, scores, settings.max_hypotheses)
+    chosen = distinct(poses, 2)
+    if len(chosen) == 0:
+        return refusal("no two standing lines of one scan fit two of the other")
+    T_guess = lift(source, target, poses[chosen[0]])
+    lines = source.view.lines, target.view.lines
+    matches = matched_lines(source, target, T_guess, settings.inlier_distance_m)
+    T, information = refine_on_lines(*lines, matches, T_guess)
+    matches = matched_lines(source, target, T, settings.inlier_distance_m)
+    matches = matches[line_distances_m(*lines, matches, T) < settings.inlier_distance_m]
+    reason = ""
+    if len(matches) < settings.min_inliers:
+        reason = f"only {len(matches)} lines agree, {settings.min_inliers} are needed"
+    elif len(chosen) > 1 and scores[chosen[1]] > CLEAR_MARGIN * scores[chosen[0]]:
+        reason = "another place fits the lines about as well"
+    return Registration(
+        success=not reason,
+        T_target_source=None if reason else T,
+        num_inliers=len(matches),
+        matches=matches,
+        information=np.zeros((6, 6)) if reason else information,
+        reason=reason,
+    )
 
 
-def refine(source: PreparedView, target: PreparedView, T_guess: Transform) -> Hypothesis | None:
-    """Refine a guess by GICP and look through both scans; None without clouds to do it with."""
-    if source.dense is None or target.dense is None:
-        return None
-    aligned = dense.align(target.dense, source.dense, T_guess)
-    T_levels = target.T_level_lidar @ aligned.T_target_source @ invert(source.T_level_lidar)
-    seen = visibility.compare(target.image, source.level_points, T_levels)
-    seen = seen + visibility.compare(source.image, target.level_points, invert(T_levels))
-    return Hypothesis(aligned.T_target_source, aligned.hessian, aligned.overlap, seen)
-
-
-def _ground_height_m(prepared: PreparedView, xy: np.ndarray) -> float:
-    ground = np.abs(prepared.view.heights) < field.GROUND_M
-    points = prepared.level_points[ground]
-    near = np.hypot(points[:, 0] - xy[0], points[:, 1] - xy[1]) < 8.0
-    return float(np.median(points[near, 2])) if near.sum() >= 5 else 0.0
+def _checked_cloud(cloud: Points, name: str) -> Points:
+    points = np.asarray(cloud, np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"clouds: {name} has shape {points.shape}, expected (N, 3) in metres")
+    if not np.isfinite(points).all():
+        raise InputError(f"clouds: {name} holds NaN or infinite coordinates; drop those points")
+    return points

@@ -11,8 +11,11 @@ from sl3d_slam.geometry.se3 import Points, Transform
 MAX_RANGE_M = 70.0
 MIN_POINTS = 100
 NEIGHBOURS = 12
-STAGES_M = (3.0, 1.0)  # largest correspondence distance of each stage
-POINT_SIGMA_M = 0.35  # calibrated: see information_of
+STAGES = ((3.0, 2.0), (1.0, 1.0))  # largest correspondence distance, voxel of the moving cloud
+COVARIANCE_SCALE = 600.0  # neighbouring points err together, and voxels hide centimetres
+MIN_ROTATION_RAD = np.radians(0.02)
+MIN_TRANSLATION_M = 0.01
+FREE_RATIO = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,6 +24,7 @@ class DenseCloud:
 
     points: small_gicp.PointCloud
     tree: small_gicp.KdTree
+    moving: tuple[small_gicp.PointCloud, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +34,6 @@ class DenseAlignment:
     T_target_source: Transform
     hessian: Float64[np.ndarray, "6 6"]
     overlap: float
-    mean_error: float
 
 
 def coarse_cloud(points_lidar: Points, voxel_m: float) -> Float32[np.ndarray, "M 3"]:
@@ -47,16 +50,20 @@ def prepare(cloud: Float32[np.ndarray, "M 3"]) -> DenseCloud | None:
     points = small_gicp.PointCloud(cloud.astype(np.float64))
     tree = small_gicp.KdTree(points)
     small_gicp.estimate_covariances(points, tree, num_neighbors=NEIGHBOURS)
-    return DenseCloud(points, tree)
+    moving = tuple(
+        small_gicp.preprocess_points(points, voxel_m, num_neighbors=NEIGHBOURS)[0]
+        for _, voxel_m in STAGES
+    )
+    return DenseCloud(points, tree, moving)
 
 
 def align(target: DenseCloud, source: DenseCloud, T_target_source: Transform) -> DenseAlignment:
     """Refine a first guess, coarse then fine. Deterministic: one thread."""
     T, result = T_target_source, None
-    for reach_m in STAGES_M:
+    for (reach_m, _), moving in zip(STAGES, source.moving, strict=True):
         result = small_gicp.align(
             target.points,
-            source.points,
+            moving,
             target.tree,
             init_T_target_source=T,
             max_correspondence_distance=reach_m,
@@ -64,7 +71,20 @@ def align(target: DenseCloud, source: DenseCloud, T_target_source: Transform) ->
         )
         T = np.asarray(result.T_target_source)
     assert result is not None
-    overlap = result.num_inliers / max(1, source.points.size())
-    return DenseAlignment(
-        T, np.asarray(result.H), float(overlap), float(result.error / max(1, result.num_inliers))
-    )
+    overlap = result.num_inliers / max(1, source.moving[-1].size())
+    return DenseAlignment(T, np.asarray(result.H), float(overlap))
+
+
+def information_of(alignment: DenseAlignment) -> Float64[np.ndarray, "6 6"]:
+    """Return the calibrated information of an alignment (rotation first, source frame).
+
+    GICP's Hessian takes every point as independent and every surface as flat, so its inverse is
+    hundreds of times too small. It is widened by a factor, and no direction is believed beyond
+    what voxels allow. Directions that no point fixes stay exactly zero.
+    """
+    scale = np.r_[np.full(3, 1.0 / MIN_ROTATION_RAD), np.full(3, 1.0 / MIN_TRANSLATION_M)]
+    values, vectors = np.linalg.eigh(alignment.hessian / np.outer(scale, scale))
+    fixed = values > FREE_RATIO * max(float(values[-1]), 1e-12)
+    basis = vectors[:, fixed]
+    information = (basis / (COVARIANCE_SCALE / values[fixed] + 1.0)) @ basis.T
+    return information * np.outer(scale, scale)

@@ -12,8 +12,7 @@ from jaxtyping import Float32, Float64
 from numba import njit
 from scipy import ndimage
 
-from sl3d_slam.geometry.se3 import Transform, transform_points
-from sl3d_slam.types import View
+from sl3d_slam.geometry.se3 import Points
 
 CELL_M = 0.5
 HALF_WIDTH_M = 80.0
@@ -40,12 +39,11 @@ class StructureField:
     points: Float64[np.ndarray, "P 2"]
 
 
-def build_field(view: View, T_level_lidar: Transform) -> StructureField:
-    """Draw the coarse cloud of a view from above."""
-    level = transform_points(T_level_lidar, view.cloud.astype(np.float64))
-    cells = np.floor((level[:, :2] + HALF_WIDTH_M) / CELL_M).astype(np.int64)
+def build_field(points_level: Points, heights: Float32[np.ndarray, "N"]) -> StructureField:
+    """Draw a coarse cloud, given in its levelled frame with heights above ground, from above."""
+    cells = np.floor((points_level[:, :2] + HALF_WIDTH_M) / CELL_M).astype(np.int64)
     inside = np.all((cells >= 0) & (cells < SIZE), axis=1)
-    cells, heights = cells[inside], view.heights[inside]
+    cells, heights = cells[inside], heights[inside]
     structure = _mask(cells[(heights > STRUCTURE_M[0]) & (heights < STRUCTURE_M[1])])
     street = ndimage.binary_dilation(_mask(cells[np.abs(heights) < GROUND_M]), iterations=1)
     gap_m = CELL_M * ndimage.distance_transform_edt(~structure)

@@ -21,6 +21,8 @@ MARGIN_M = 1.0
 MARGIN_PER_M = 0.04
 MIN_RANGE_M = 3.0
 
+RangeImage = Float32[np.ndarray, "A E 2"]
+
 
 @dataclass(frozen=True, slots=True)
 class Visibility:
@@ -39,13 +41,13 @@ class Visibility:
         return Visibility(self.agree + other.agree, self.contradict + other.contradict)
 
 
-def range_image(points_level: Float64[np.ndarray, "N 3"]) -> Float32[np.ndarray, "A E 2"]:
+def range_image(points_level: Float64[np.ndarray, "N 3"]) -> RangeImage:
     """Return the nearest and the farthest range per direction; inf and 0 where nothing returned."""
     return _range_image(points_level)
 
 
 def compare(
-    image_target: Float32[np.ndarray, "A E 2"],
+    image_target: RangeImage,
     points_source: Float64[np.ndarray, "N 3"],
     T_target_source: Transform,
 ) -> Visibility:

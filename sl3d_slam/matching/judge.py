@@ -1,0 +1,112 @@
+"""Refine a guess densely, gather what speaks for and against it, and say yes or why not."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from sl3d_slam.config import MatchingSettings
+from sl3d_slam.geometry.se3 import Transform, distance_m, invert, rotation_angle_rad
+from sl3d_slam.matching import dense, visibility
+from sl3d_slam.matching.consistency import match_verticals
+from sl3d_slam.matching.prepared import PreparedView, flatten
+from sl3d_slam.types import Registration
+
+MAX_CORRECTION_M = 4.0
+MAX_CORRECTION_RAD = np.radians(10.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """A refined pose and what speaks for it.
+
+    Attributes
+    ----------
+    correction_m, correction_rad : how far refinement moved the guess.
+    overlap : share of the source's coarse points with a target point nearby.
+    seen : points that agree with, and contradict, what the other side saw.
+    matches : (M, 2) standing lines that lie on each other, rows of the line sets, source first.
+    """
+
+    T_target_source: Transform
+    information: Float64[np.ndarray, "6 6"]
+    correction_m: float
+    correction_rad: float
+    overlap: float
+    seen: visibility.Visibility
+    matches: Int64[np.ndarray, "M 2"]
+
+    @property
+    def strength(self) -> float:
+        """Order refined poses: agreement that contradiction does not undo."""
+        return self.seen.agree - 4.0 * self.seen.contradict
+
+
+def gather_evidence(
+    source: PreparedView, target: PreparedView, T_guess: Transform, settings: MatchingSettings
+) -> Evidence | None:
+    """Refine a guess by GICP and hold both sides against each other; None without clouds."""
+    if source.dense is None or target.dense is None:
+        return None
+    aligned = dense.align(target.dense, source.dense, T_guess)
+    T_target_source = aligned.T_target_source
+    T_levels = target.T_level_lidar @ T_target_source @ invert(source.T_level_lidar)
+    seen = visibility.compare(target.image, source.level_structure, T_levels)
+    seen = seen + visibility.compare(source.image, target.level_structure, invert(T_levels))
+    correction = invert(T_guess) @ T_target_source
+    return Evidence(
+        T_target_source=T_target_source,
+        information=dense.information_of(aligned),
+        correction_m=distance_m(correction),
+        correction_rad=rotation_angle_rad(correction),
+        overlap=aligned.overlap,
+        seen=seen,
+        matches=matched_lines(source, target, T_target_source, settings.inlier_distance_m),
+    )
+
+
+def matched_lines(
+    source: PreparedView, target: PreparedView, T_target_source: Transform, distance_m: float
+) -> Int64[np.ndarray, "M 2"]:
+    """Return the standing lines that a pose lays on each other, as rows of the line sets."""
+    pose = flatten(source, target, T_target_source)
+    matches = match_verticals(source.verticals, target.verticals, pose, distance_m)
+    return np.stack(
+        [source.verticals.indices[matches[:, 0]], target.verticals.indices[matches[:, 1]]], axis=1
+    )
+
+
+def objection(evidence: Evidence, settings: MatchingSettings) -> str:
+    """Return why the evidence is not enough; empty where it is."""
+    if evidence.correction_m > MAX_CORRECTION_M or evidence.correction_rad > MAX_CORRECTION_RAD:
+        return f"refinement left the guess by {evidence.correction_m:.1f} m"
+    if evidence.overlap < settings.min_overlap:
+        return f"only {evidence.overlap:.0%} of the clouds overlap"
+    if evidence.seen.share < settings.min_visibility:
+        return f"each scan sees through {1 - evidence.seen.share:.0%} of what stands in the other"
+    if evidence.seen.agree < settings.min_agreeing_points:
+        return f"only {evidence.seen.agree} points agree, too few to tell places apart"
+    if len(evidence.matches) < settings.min_inliers:
+        return f"only {len(evidence.matches)} lines agree"
+    if np.linalg.matrix_rank(evidence.information) < 6:
+        return "the pose may slide: some direction is not held by anything seen"
+    return ""
+
+
+def to_registration(evidence: Evidence, reason: str) -> Registration:
+    """Turn evidence and an objection (or none) into an answer."""
+    return Registration(
+        success=not reason,
+        T_target_source=None if reason else evidence.T_target_source,
+        num_inliers=len(evidence.matches),
+        matches=evidence.matches,
+        information=np.zeros((6, 6)) if reason else evidence.information,
+        reason=reason,
+        overlap=evidence.overlap,
+    )
+
+
+def refusal(reason: str) -> Registration:
+    """Return a no that has a reason and nothing else."""
+    nothing = np.zeros((0, 2), np.int64)
+    return Registration(False, None, 0, nothing, np.zeros((6, 6)), reason)

@@ -1,0 +1,80 @@
+"""A view with everything that matching derives from it, each part made when first needed."""
+
+from functools import cached_property
+
+import numpy as np
+
+from sl3d_slam.config import MatchingSettings
+from sl3d_slam.geometry.se3 import Points, Transform, from_yaw, invert, transform_points
+from sl3d_slam.matching import dense, field, visibility
+from sl3d_slam.matching.verticals import Verticals, find_verticals, levelling
+from sl3d_slam.types import View
+
+GROUND_REACH_M = 8.0
+MIN_GROUND_POINTS = 5
+
+
+class PreparedView:
+    """One side of a match. Two threads must not share one."""
+
+    def __init__(self, view: View, settings: MatchingSettings) -> None:
+        self.view = view
+        self._max_angle_rad = np.radians(2.0 * settings.angle_tolerance_deg)
+
+    @cached_property
+    def T_level_lidar(self) -> Transform:
+        """The turn that makes the frame level."""
+        return levelling(self.view.up)
+
+    @cached_property
+    def verticals(self) -> Verticals:
+        """The standing lines, in the levelled frame."""
+        return find_verticals(self.view.lines, self.T_level_lidar, self._max_angle_rad)
+
+    @cached_property
+    def level_points(self) -> Points:
+        """The coarse cloud in the levelled frame."""
+        return transform_points(self.T_level_lidar, self.view.cloud.astype(np.float64))
+
+    @cached_property
+    def level_structure(self) -> Points:
+        """What stands above the street; the street itself agrees with any pose on it."""
+        return self.level_points[self.view.heights > field.STRUCTURE_M[0]]
+
+    @cached_property
+    def field(self) -> field.StructureField:
+        """The coarse cloud seen from above."""
+        return field.build_field(self.level_points, self.view.heights)
+
+    @cached_property
+    def image(self) -> visibility.RangeImage:
+        """The coarse cloud seen from the sensor."""
+        return visibility.range_image(self.level_points)
+
+    @cached_property
+    def dense(self) -> dense.DenseCloud | None:
+        """The coarse cloud ready for GICP; None where it has too few points."""
+        return dense.prepare(self.view.cloud)
+
+    def ground_height_m(self, x_m: float, y_m: float) -> float:
+        """Return the ground's height around a place in the levelled frame; 0 where none is seen."""
+        ground = self.level_points[np.abs(self.view.heights) < field.GROUND_M]
+        near = np.hypot(ground[:, 0] - x_m, ground[:, 1] - y_m) < GROUND_REACH_M
+        return float(np.median(ground[near, 2])) if near.sum() >= MIN_GROUND_POINTS else 0.0
+
+
+def lift(source: PreparedView, target: PreparedView, pose: np.ndarray) -> Transform:
+    """Turn a planar pose (yaw, x, y) of levelled frames into ``T_target_source``.
+
+    The ground gives the height: the source's own ground is laid on the target's.
+    """
+    yaw_rad, x_m, y_m = (float(value) for value in pose)
+    z_m = target.ground_height_m(x_m, y_m) - source.ground_height_m(0.0, 0.0)
+    T_levels = from_yaw(yaw_rad, np.array([x_m, y_m, z_m]))
+    return invert(target.T_level_lidar) @ T_levels @ source.T_level_lidar
+
+
+def flatten(source: PreparedView, target: PreparedView, T_target_source: Transform) -> np.ndarray:
+    """Return the planar pose (yaw, x, y) of levelled frames; the inverse of :func:`lift`."""
+    T_levels = target.T_level_lidar @ T_target_source @ invert(source.T_level_lidar)
+    return np.array([np.arctan2(T_levels[1, 0], T_levels[0, 0]), T_levels[0, 3], T_levels[1, 3]])
