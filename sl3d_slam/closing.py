@@ -1,0 +1,131 @@
+"""Closing loops: remember every keyframe's view, propose earlier ones, verify, answer.
+
+The pipeline and the plugin run this same stage; who owns the graph makes no difference to it.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sl3d_slam.config import SlamConfig
+from sl3d_slam.geometry.se3 import Points, Transform, distance_m, invert
+from sl3d_slam.lines.extract import LineExtractor
+from sl3d_slam.loops.candidates import nearest_by_estimate, thin_votes
+from sl3d_slam.loops.constellations import ConstellationIndex
+from sl3d_slam.matching.judge import gather_evidence, objection
+from sl3d_slam.matching.prepared import PreparedView, lift
+from sl3d_slam.matching.views import PackedView, make_view, pack, unpack
+from sl3d_slam.registration import field_agreement
+from sl3d_slam.types import LoopConstraint, Rejection, View
+
+CACHE_SIZE = 24
+
+
+class LoopCloser:
+    """Views of all keyframes and the constellations in them.
+
+    ``add`` remembers a keyframe, ``search`` looks for loops to earlier ones.
+    """
+
+    def __init__(self, config: SlamConfig, extractor: LineExtractor | None = None) -> None:
+        self._config = config
+        self._extractor = extractor or LineExtractor(config.lines)
+        self._index = ConstellationIndex()
+        self._views: dict[int, PackedView] = {}
+        self._cache: dict[int, PreparedView] = {}
+        self._travelled_m: dict[int, float] = {}
+        self._T_odom_last: Transform | None = None
+
+    def view(self, keyframe_id: int) -> View:
+        """Return what was kept of a keyframe, in its lidar frame."""
+        return unpack(self._views[keyframe_id])
+
+    def make_view(self, points_lidar: Points) -> View:
+        """Extract what loops need from a scan."""
+        lines = self._extractor.extract(points_lidar)
+        return make_view(points_lidar, lines, self._config.matching.cloud_voxel_m)
+
+    def add(self, keyframe_id: int, view: View, T_odom_lidar: Transform) -> None:
+        """Remember a keyframe; ids grow, and odometry tells how far it is from the last one."""
+        travelled = 0.0
+        if self._T_odom_last is not None:
+            step_m = distance_m(invert(self._T_odom_last) @ T_odom_lidar)
+            travelled = next(reversed(self._travelled_m.values())) + step_m
+        self._travelled_m[keyframe_id] = travelled
+        self._T_odom_last = T_odom_lidar
+        self._views[keyframe_id] = pack(view)
+        verticals = self._prepared(keyframe_id).verticals
+        self._index.add(keyframe_id, verticals.xy, verticals.weights)
+
+    def search(
+        self, query_id: int, estimates: Mapping[int, Transform]
+    ) -> list[LoopConstraint | Rejection]:
+        """Look for loops from a keyframe to those before it; one answer a verified candidate.
+
+        Parameters
+        ----------
+        query_id : a keyframe that was added.
+        estimates : the best present ``T_world_lidar`` of keyframes; they add candidates, but
+            constellations find revisits wherever the estimates have drifted to.
+        """
+        newest_id = self._newest_far_id(query_id)
+        if newest_id is None:
+            return []
+        guesses = self._guesses(query_id, newest_id, estimates)
+        return [self._verify(query_id, target_id, T) for target_id, T in guesses.items()]
+
+    def _newest_far_id(self, query_id: int) -> int | None:
+        limit = self._travelled_m[query_id] - self._config.loops.min_travel_m
+        far = [k for k, travelled in self._travelled_m.items() if travelled < limit]
+        return far[-1] if far else None
+
+    def _guesses(
+        self, query_id: int, newest_id: int, estimates: Mapping[int, Transform]
+    ) -> dict[int, Transform]:
+        """Return first guesses ``T_target_query`` by target, the most promising first."""
+        settings = self._config.loops
+        query = self._prepared(query_id)
+        verticals = query.verticals
+        votes = self._index.query(verticals.xy, verticals.weights, newest_id, 30)
+        guesses: dict[int, Transform] = {}
+        for vote in thin_votes(votes, self._travelled_m, settings):
+            target, pose = self._prepared(vote.view_id), np.array(vote.pose)
+            if field_agreement(query, target, pose[None])[0] > settings.min_field_agreement:
+                guesses[vote.view_id] = lift(query, target, pose)
+        if query_id in estimates:
+            nearby = nearest_by_estimate(
+                query_id, newest_id, estimates, self._travelled_m, settings
+            )
+            if nearby is not None:
+                guesses.setdefault(nearby.view_id, nearby.T_view_query)
+        return guesses
+
+    def _verify(
+        self, query_id: int, target_id: int, T_guess: Transform
+    ) -> LoopConstraint | Rejection:
+        query, target = self._prepared(query_id), self._prepared(target_id)
+        evidence = gather_evidence(query, target, T_guess, self._config.matching)
+        if evidence is None:
+            return Rejection(target_id, query_id, "a scan has too few points to verify a loop with")
+        reason = objection(evidence, self._config.matching)
+        if reason:
+            return Rejection(
+                target_id, query_id, reason, evidence.T_target_source, len(evidence.matches)
+            )
+        return LoopConstraint(
+            target_id,
+            query_id,
+            evidence.T_target_source,
+            evidence.information,
+            len(evidence.matches),
+        )
+
+    def _prepared(self, keyframe_id: int) -> PreparedView:
+        """Return a keyframe ready for matching; the last few used are kept."""
+        found = self._cache.pop(keyframe_id, None)
+        if found is None:
+            found = PreparedView(self.view(keyframe_id), self._config.matching)
+        self._cache[keyframe_id] = found
+        if len(self._cache) > CACHE_SIZE:
+            del self._cache[next(iter(self._cache))]
+        return found
