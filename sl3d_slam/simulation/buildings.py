@@ -97,11 +97,10 @@ def _try_lot(
     inward = np.array([along[1], -along[0]])
     depth = rng.uniform(*style.depths)
     corner = ends[1][:2]
-    covered = rectangle(
-        corner + 0.3 * along + 0.3 * inward, (length - 0.6) * along, (depth - 0.6) * inward
-    )
-    front = rectangle(corner - 1.0 * inward, length * along, depth * inward)
-    if not site.is_free(covered, 0.8) or (site.ground.road_distance_m(front) < 1.0).any():
+    inset = corner + 0.9 * along + 0.9 * inward
+    covered = rectangle(inset, (length - 1.8) * along, (depth - 1.8) * inward)
+    border = rectangle(corner - 0.6 * inward, length * along, (depth + 1.2) * inward)
+    if not site.is_free(covered, 0.8) or (site.ground.road_distance_m(border) < 1.0).any():
         return False
     site.claim(rectangle(corner, length * along, depth * inward))
     base = float(site.ground.height_m(covered).min())

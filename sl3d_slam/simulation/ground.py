@@ -7,11 +7,10 @@ from jaxtyping import Float32, Float64
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-from sl3d_slam.simulation.raycast import MAX_SLOPE
-
 SENSOR_HEIGHT_M = 1.73
 MARGIN_M = 135.0
 KERB_M = 0.12
+MAX_SLOPE = 0.15
 Positions = Float64[np.ndarray, "N 2"]
 
 
@@ -26,6 +25,15 @@ class Ground:
     low: Float64[np.ndarray, "2"]
     spacing_m: float
     grid: Float32[np.ndarray, "J I 4"]
+
+    @property
+    def steepest(self) -> float:
+        """Return the largest slope (rise over run) between neighbours of the grid, kerbs aside."""
+        heights = self.grid[:, :, 0].astype(float)
+        along_x, along_y = np.diff(heights, axis=1)[:-1], np.diff(heights, axis=0)[:, :-1]
+        return float(
+            np.sqrt(2.0) * max(np.abs(along_x).max(), np.abs(along_y).max()) / self.spacing_m
+        )
 
     def _sample(self, positions: Positions, channel: int) -> Float64[np.ndarray, "N"]:
         scaled = (positions - self.low) / self.spacing_m

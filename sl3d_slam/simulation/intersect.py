@@ -1,7 +1,9 @@
 # ruff: noqa: ANN001, ANN201 - compiled code; numba infers the types
 """Where a ray meets one primitive: compiled, one function a shape.
 
-A ray is ``o + t * d`` with unit ``d``. Each function returns ``t``, or infinity for a miss.
+A ray is ``o + t * d`` with unit ``d``; row ``i`` of ``rows`` describes the primitive. Each function
+returns ``t``, or infinity for a miss. Small arrays are passed, not whole scenes: copying those at
+each call took most of the time.
 Chance (foliage, fences, glass) is a hash of the ray and the primitive, never shared state, so the
 answer does not depend on the number of threads.
 """
@@ -14,7 +16,7 @@ from numba import njit
 SOLID, GLASS, LOST, INSIDE = 0, 1, 2, 3
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 @no_type_check
 def mix(x):
     """Scramble 64 bits (the finaliser of splitmix64, Steele et al. 2014)."""
@@ -23,7 +25,7 @@ def mix(x):
     return x ^ (x >> np.uint64(31))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def chance(key, salt):
     """Return a number in (0, 1) that depends on the key of the ray and a salt only."""
@@ -31,7 +33,7 @@ def chance(key, salt):
     return (np.float64(bits >> np.uint64(11)) + 0.5) * (1.0 / 9007199254740992.0)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def gaussian(key, salt):
     """Return a standard normal number (Box-Muller)."""
@@ -39,7 +41,7 @@ def gaussian(key, salt):
     return radius * np.cos(2.0 * np.pi * chance(key, salt + 1))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def enter(t_in, t_out, density, key, salt):
     """Return where a ray stops that is within something from t_in to t_out."""
@@ -51,7 +53,7 @@ def enter(t_in, t_out, density, key, salt):
     return t if t < t_out else np.inf
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def slab(position, direction, half):
     """Return entry and exit of the slab |x| <= half along one axis."""
@@ -61,45 +63,57 @@ def slab(position, direction, half):
     return (first, second) if first < second else (second, first)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
-def hit_box(p, o, d, density, ray):
+def hit_box(rows, i, o, d, density, ray):
     """Meet a box that is turned about z."""
-    x, y = o[0] - p[0], o[1] - p[1]
-    a0, a1 = slab(p[3] * x + p[4] * y, p[3] * d[0] + p[4] * d[1], p[5])
-    b0, b1 = slab(p[3] * y - p[4] * x, p[3] * d[1] - p[4] * d[0], p[6])
+    x, y = o[0] - rows[i, 0], o[1] - rows[i, 1]
+    a0, a1 = slab(
+        rows[i, 3] * x + rows[i, 4] * y, rows[i, 3] * d[0] + rows[i, 4] * d[1], rows[i, 5]
+    )
+    b0, b1 = slab(
+        rows[i, 3] * y - rows[i, 4] * x, rows[i, 3] * d[1] - rows[i, 4] * d[0], rows[i, 6]
+    )
     if max(a0, b0) > min(a1, b1):
         return np.inf
-    c0, c1 = slab(o[2] - p[2], d[2], p[7])
+    c0, c1 = slab(o[2] - rows[i, 2], d[2], rows[i, 7])
     return enter(max(a0, b0, c0), min(a1, b1, c1), density, ray[0], ray[1])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
-def hit_cylinder(p, o, d):
+def hit_cylinder(rows, i, o, d):
     """Meet the mantle of a cylinder from outside."""
-    x, y, z = o[0] - p[0], o[1] - p[1], o[2] - p[2]
-    along_o = x * p[3] + y * p[4] + z * p[5]
-    along_d = d[0] * p[3] + d[1] * p[4] + d[2] * p[5]
-    ex, ey, ez = d[0] - along_d * p[3], d[1] - along_d * p[4], d[2] - along_d * p[5]
-    fx, fy, fz = x - along_o * p[3], y - along_o * p[4], z - along_o * p[5]
+    x, y, z = o[0] - rows[i, 0], o[1] - rows[i, 1], o[2] - rows[i, 2]
+    along_o = x * rows[i, 3] + y * rows[i, 4] + z * rows[i, 5]
+    along_d = d[0] * rows[i, 3] + d[1] * rows[i, 4] + d[2] * rows[i, 5]
+    ex, ey, ez = (
+        d[0] - along_d * rows[i, 3],
+        d[1] - along_d * rows[i, 4],
+        d[2] - along_d * rows[i, 5],
+    )
+    fx, fy, fz = x - along_o * rows[i, 3], y - along_o * rows[i, 4], z - along_o * rows[i, 5]
     a = ex * ex + ey * ey + ez * ez
     b = ex * fx + ey * fy + ez * fz
-    c = fx * fx + fy * fy + fz * fz - p[7] * p[7]
+    c = fx * fx + fy * fy + fz * fz - rows[i, 7] * rows[i, 7]
     root = b * b - a * c
     if root < 0.0 or a < 1e-14:
         return np.inf
     t = (-b - np.sqrt(root)) / a
     height = along_o + t * along_d
-    return t if t > 0.0 and 0.0 <= height <= p[6] else np.inf
+    return t if t > 0.0 and 0.0 <= height <= rows[i, 6] else np.inf
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
-def hit_ellipsoid(p, o, d, density, ray):
+def hit_ellipsoid(rows, i, o, d, density, ray):
     """Meet an ellipsoid with axes along x, y, z."""
-    x, y, z = (o[0] - p[0]) / p[3], (o[1] - p[1]) / p[4], (o[2] - p[2]) / p[5]
-    u, v, w = d[0] / p[3], d[1] / p[4], d[2] / p[5]
+    x, y, z = (
+        (o[0] - rows[i, 0]) / rows[i, 3],
+        (o[1] - rows[i, 1]) / rows[i, 4],
+        (o[2] - rows[i, 2]) / rows[i, 5],
+    )
+    u, v, w = d[0] / rows[i, 3], d[1] / rows[i, 4], d[2] / rows[i, 5]
     a, b = u * u + v * v + w * w, x * u + y * v + z * w
     root = b * b - a * (x * x + y * y + z * z - 1.0)
     if root <= 0.0:
@@ -108,49 +122,61 @@ def hit_ellipsoid(p, o, d, density, ray):
     return enter((-b - root) / a, (-b + root) / a, density, ray[0], ray[1])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
-def patch_coordinates(p, o, d, t):
+def patch_coordinates(rows, i, o, d, t):
     """Return u and v of a point of the ray in the plane of a patch."""
-    x, y, z = o[0] + t * d[0] - p[0], o[1] + t * d[1] - p[1], o[2] + t * d[2] - p[2]
-    return x * p[3] + y * p[4] + z * p[5], x * p[6] + y * p[7] + z * p[8]
+    x, y, z = (
+        o[0] + t * d[0] - rows[i, 0],
+        o[1] + t * d[1] - rows[i, 1],
+        o[2] + t * d[2] - rows[i, 2],
+    )
+    return x * rows[i, 3] + y * rows[i, 4] + z * rows[i, 5], x * rows[i, 6] + y * rows[
+        i, 7
+    ] + z * rows[i, 8]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
-def hit_patch(p, o, d, density, ray):
+def hit_patch(rows, i, o, d, density, ray):
     """Meet a patch; return t and what was met (wall, glass, nothing that answers, a room)."""
-    slope = d[0] * p[9] + d[1] * p[10] + d[2] * p[11]
+    slope = d[0] * rows[i, 9] + d[1] * rows[i, 10] + d[2] * rows[i, 11]
     if abs(slope) < 1e-9:
         return np.inf, SOLID
-    above = (p[0] - o[0]) * p[9] + (p[1] - o[1]) * p[10] + (p[2] - o[2]) * p[11]
+    above = (
+        (rows[i, 0] - o[0]) * rows[i, 9]
+        + (rows[i, 1] - o[1]) * rows[i, 10]
+        + (rows[i, 2] - o[2]) * rows[i, 11]
+    )
     t = above / slope
     if t <= 0.0:
         return np.inf, SOLID
-    u, v = patch_coordinates(p, o, d, t)
-    cut = 0.5 * p[14] * p[12] * v / p[13]
-    if v < 0.0 or v > p[13] or u < cut or u > p[12] - cut:
+    u, v = patch_coordinates(rows, i, o, d, t)
+    cut = 0.5 * rows[i, 14] * rows[i, 12] * v / rows[i, 13]
+    if v < 0.0 or v > rows[i, 13] or u < cut or u > rows[i, 12] - cut:
         return np.inf, SOLID
     if density > 0.0 and chance(ray[0], ray[1]) > density:
         return np.inf, SOLID
-    if p[19] > 0.0:
-        return window(p, t, u, v, (slope, o, d, ray))
+    if rows[i, 19] > 0.0:
+        return window(rows, i, t, u, v, (slope, o, d, ray))
     return t, SOLID
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
-def window(p, t, u, v, more):
+def window(rows, i, t, u, v, more):
     """Follow a ray that reached a wall with windows: wall, reveal, glass or the room behind."""
     slope, o, d, ray = more
-    across = u - p[15] * np.floor(u / p[15]) - 0.5 * p[15]
-    up = v - p[17] * np.floor(v / p[17]) - 0.55 * p[17]
-    half_u, half_v = 0.5 * p[16], 0.5 * p[18]
-    partial = u > p[12] - np.fmod(p[12], p[15]) or v > p[13] - np.fmod(p[13], p[17])
+    across = u - rows[i, 15] * np.floor(u / rows[i, 15]) - 0.5 * rows[i, 15]
+    up = v - rows[i, 17] * np.floor(v / rows[i, 17]) - 0.55 * rows[i, 17]
+    half_u, half_v = 0.5 * rows[i, 16], 0.5 * rows[i, 18]
+    partial = u > rows[i, 12] - np.fmod(rows[i, 12], rows[i, 15]) or v > rows[i, 13] - np.fmod(
+        rows[i, 13], rows[i, 17]
+    )
     if abs(across) > half_u or abs(up) > half_v or partial:
         return t, SOLID
-    behind = p[19] / abs(slope)
-    du, dv = patch_coordinates(p, o, d, t + behind)
+    behind = rows[i, 19] / abs(slope)
+    du, dv = patch_coordinates(rows, i, o, d, t + behind)
     du, dv = du - u, dv - v
     share = 1.0
     if abs(across + du) > half_u:

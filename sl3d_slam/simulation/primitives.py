@@ -172,12 +172,22 @@ class SceneBuilder:
         )
 
 
+def joined(parts: Sequence[Primitives]) -> Primitives:
+    """Return the primitives of all parts, in order; line ids stay as they are."""
+    return Primitives(
+        np.concatenate([part.kinds for part in parts]),
+        np.vstack([part.parameters for part in parts]),
+        np.vstack([part.materials for part in parts]),
+        np.vstack([part.edges for part in parts]),
+    )
+
+
 def bounds(primitives: Primitives) -> Float64[np.ndarray, "P 6"]:
     """Return the axis-aligned box of each primitive: low x, y, z, high x, y, z."""
     p = primitives.parameters
     low, high = np.zeros((len(p), 3)), np.zeros((len(p), 3))
     box = primitives.kinds == BOX
-    spread = np.abs(p[box][:, 3:5]) @ np.array([[1.0, 0.0], [0.0, 1.0]])
+    spread = np.abs(p[box][:, 3:5])
     half = np.stack(
         [
             spread[:, 0] * p[box][:, 5] + spread[:, 1] * p[box][:, 6],

@@ -22,15 +22,14 @@ from sl3d_slam.simulation.intersect import (
 
 EDGE_M = 0.13
 KERB_RAMP_M = 0.04
-MAX_SLOPE = 0.15
 
 
 class SceneArrays(NamedTuple):
     """All that a ray can meet, as plain arrays (town frame, metres).
 
     ``ground[j, i]``: height, signed distance to the road (negative on it), kerb height, pavement
-    width; ``layout``: low x, low y, ground spacing, cell size. ``starts``/``items`` list the
-    primitives of each cell, ``heads``/``nodes`` (item, next) those that move.
+    width; ``layout``: low x, low y, ground spacing, cell size, steepest slope. ``starts``/``items``
+    list the primitives of each cell, ``heads``/``nodes`` (item, next) those that move.
     """
 
     ground: np.ndarray
@@ -56,7 +55,7 @@ class Beams(NamedTuple):
     numbers: np.ndarray
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def ground_at(ground, layout, x, y):
     """Return height (kerb included), signed distance to the road and pavement width."""
@@ -65,72 +64,87 @@ def ground_at(ground, layout, x, y):
     i, j = int(fx), int(fy)
     a, b = fx - i, fy - j
     w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
-    q00, q01, q10, q11 = ground[j, i], ground[j, i + 1], ground[j + 1, i], ground[j + 1, i + 1]
-    height = w00 * q00[0] + w01 * q01[0] + w10 * q10[0] + w11 * q11[0]
-    distance = w00 * q00[1] + w01 * q01[1] + w10 * q10[1] + w11 * q11[1]
-    kerb = w00 * q00[2] + w01 * q01[2] + w10 * q10[2] + w11 * q11[2]
+    height = w00 * ground[j, i, 0] + w01 * ground[j, i + 1, 0]
+    height += w10 * ground[j + 1, i, 0] + w11 * ground[j + 1, i + 1, 0]
+    distance = w00 * ground[j, i, 1] + w01 * ground[j, i + 1, 1]
+    distance += w10 * ground[j + 1, i, 1] + w11 * ground[j + 1, i + 1, 1]
+    kerb = w00 * ground[j, i, 2] + w01 * ground[j, i + 1, 2]
+    kerb += w10 * ground[j + 1, i, 2] + w11 * ground[j + 1, i + 1, 2]
     raised = min(max(distance / KERB_RAMP_M, 0.0), 1.0)
-    return height + kerb * raised, distance, q00[3]
+    return height + kerb * raised, distance, ground[j, i, 3]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
-def march_ground(scene, o, d, t_max):
-    """Return where a ray meets the ground; slopes are at most MAX_SLOPE, kerbs excepted."""
-    level = np.hypot(d[0], d[1])
-    closing = MAX_SLOPE * level - d[2]
+def gap_at(ground, layout, o, d, t):
+    """Return how far a point of a ray is above the ground."""
+    x, y = o[0] + t * d[0], o[1] + t * d[1]
+    return o[2] + t * d[2] - ground_at(ground, layout, x, y)[0]
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def march_ground(ground, layout, o, d, t_max):
+    """Return where a ray meets the ground: safe steps while above, then regula falsi."""
+    closing = layout[4] * np.hypot(d[0], d[1]) - d[2]
     if closing <= 0.0:
         return np.inf
     t_above, t = 0.0, 0.0
-    while t < t_max:
-        height, _, _ = ground_at(scene.ground, scene.layout, o[0] + t * d[0], o[1] + t * d[1])
-        gap = o[2] + t * d[2] - height
-        if gap <= 0.0:
-            break
-        t_above = t
-        t += max(0.25, gap / closing)
-    if t >= t_max:
-        return np.inf
+    above = below = gap_at(ground, layout, o, d, 0.0)
+    while below > 0.0:
+        t_above, above = t, below
+        t += max(0.25, below / closing)
+        if t >= t_max:
+            return np.inf
+        below = gap_at(ground, layout, o, d, t)
     t_below = t
-    for _ in range(14):
-        t = 0.5 * (t_above + t_below)
-        height, _, _ = ground_at(scene.ground, scene.layout, o[0] + t * d[0], o[1] + t * d[1])
-        if o[2] + t * d[2] > height:
-            t_above = t
+    for _ in range(12):
+        if above < 1e-3 or below > -1e-3:
+            break
+        t = t_above + (t_below - t_above) * above / (above - below)
+        gap = gap_at(ground, layout, o, d, t)
+        if gap > 0.0:
+            t_above, above, below = t, gap, 0.5 * below
         else:
-            t_below = t
-    return t_below
+            t_below, below, above = t, gap, 0.5 * above
+    return t_below if below > -above else t_above
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always", error_model="numpy")
 @no_type_check
 def meet(scene, item, o, d, key):
     """Return where a ray meets one primitive, and what it met there."""
-    p, density = scene.parameters[item], scene.materials[item, 2]
+    rows, density = scene.parameters, scene.materials[item, 2]
     kind, ray = scene.kinds[item], (key, 16 * (item + 2))
     if kind == 2:
-        return hit_patch(p, o, d, density, ray)
+        return hit_patch(rows, item, o, d, density, ray)
     if kind == 0:
-        return hit_box(p, o, d, density, ray), 0
+        return hit_box(rows, item, o, d, density, ray), 0
     if kind == 1:
-        return hit_cylinder(p, o, d), 0
-    return hit_ellipsoid(p, o, d, density, ray), 0
+        return hit_cylinder(rows, item, o, d), 0
+    return hit_ellipsoid(rows, item, o, d, density, ray), 0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def axis_steps(position, direction, size):
+    """Return cell, step, t between two borders and t of the first border along one axis."""
+    cell = int(position / size)
+    if direction == 0.0:
+        return cell, 1, np.inf, np.inf
+    border = (cell + (1 if direction > 0.0 else 0)) * size
+    step = 1 if direction > 0.0 else -1
+    return cell, step, size / abs(direction), (border - position) / direction
+
+
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def nearest(scene, o, d, key, t_max):
     """Return the first primitive along a ray before t_max: t, its index (-1 none), what."""
     best, which, what = t_max, -1, 0
     size, width, depth = scene.layout[3], scene.heads.shape[1], scene.heads.shape[0]
-    i, j = int((o[0] - scene.layout[0]) / size), int((o[1] - scene.layout[1]) / size)
-    step_i, step_j = (1 if d[0] > 0 else -1), (1 if d[1] > 0 else -1)
-    delta_i = size / abs(d[0]) if d[0] != 0.0 else np.inf
-    delta_j = size / abs(d[1]) if d[1] != 0.0 else np.inf
-    edge_i = (i + (d[0] > 0)) * size + scene.layout[0]
-    edge_j = (j + (d[1] > 0)) * size + scene.layout[1]
-    next_i = (edge_i - o[0]) / d[0] if d[0] != 0.0 else np.inf
-    next_j = (edge_j - o[1]) / d[1] if d[1] != 0.0 else np.inf
+    i, step_i, delta_i, next_i = axis_steps(o[0] - scene.layout[0], d[0], size)
+    j, step_j, delta_j, next_j = axis_steps(o[1] - scene.layout[1], d[1], size)
     t_in = 0.0
     while 0 <= i < width and 0 <= j < depth and t_in < best:
         t_out = min(next_i, next_j)
@@ -156,54 +170,66 @@ def nearest(scene, o, d, key, t_max):
     return best, which, what
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def facing(scene, item, o, d, t):
     """Return the cosine of the angle at which a ray meets a primitive."""
-    p, kind = scene.parameters[item], scene.kinds[item]
+    rows, kind = scene.parameters, scene.kinds[item]
     if scene.materials[item, 2] > 0.0:
         return 0.6
-    x, y, z = o[0] + t * d[0] - p[0], o[1] + t * d[1] - p[1], o[2] + t * d[2] - p[2]
+    x, y, z = (
+        o[0] + t * d[0] - rows[item, 0],
+        o[1] + t * d[1] - rows[item, 1],
+        o[2] + t * d[2] - rows[item, 2],
+    )
     if kind == 2:
-        return abs(d[0] * p[9] + d[1] * p[10] + d[2] * p[11])
+        return abs(d[0] * rows[item, 9] + d[1] * rows[item, 10] + d[2] * rows[item, 11])
     if kind == 0:
-        a, b = (p[3] * x + p[4] * y) / p[5], (p[3] * y - p[4] * x) / p[6]
-        if abs(z / p[7]) > max(abs(a), abs(b)):
+        a, b = (
+            (rows[item, 3] * x + rows[item, 4] * y) / rows[item, 5],
+            (rows[item, 3] * y - rows[item, 4] * x) / rows[item, 6],
+        )
+        if abs(z / rows[item, 7]) > max(abs(a), abs(b)):
             return abs(d[2])
         if abs(a) > abs(b):
-            return abs(p[3] * d[0] + p[4] * d[1])
-        return abs(p[3] * d[1] - p[4] * d[0])
+            return abs(rows[item, 3] * d[0] + rows[item, 4] * d[1])
+        return abs(rows[item, 3] * d[1] - rows[item, 4] * d[0])
     if kind == 1:
-        s = x * p[3] + y * p[4] + z * p[5]
-        nx, ny, nz = x - s * p[3], y - s * p[4], z - s * p[5]
+        s = x * rows[item, 3] + y * rows[item, 4] + z * rows[item, 5]
+        nx, ny, nz = x - s * rows[item, 3], y - s * rows[item, 4], z - s * rows[item, 5]
     else:
-        nx, ny, nz = x / p[3] ** 2, y / p[4] ** 2, z / p[5] ** 2
+        nx, ny, nz = x / rows[item, 3] ** 2, y / rows[item, 4] ** 2, z / rows[item, 5] ** 2
     dot = nx * d[0] + ny * d[1] + nz * d[2]
     return abs(dot) / max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-9)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def line_of(scene, item, o, d, t):
     """Return the id of the true line that a point of a primitive belongs to, or -1."""
-    edges = scene.edges[item]
+    edges = scene.edges
     if scene.kinds[item] == 1:
-        return edges[0]
+        return edges[item, 0]
     if scene.kinds[item] != 2:
         return -1
-    p = scene.parameters[item]
-    u, v = patch_coordinates(p, o, d, t)
-    lean = 0.5 * p[14] * p[12] / p[13]
+    rows = scene.parameters
+    u, v = patch_coordinates(rows, item, o, d, t)
+    lean = 0.5 * rows[item, 14] * rows[item, 12] / rows[item, 13]
     shrink = 1.0 / np.sqrt(1.0 + lean * lean)
-    gaps = ((u - lean * v) * shrink, (p[12] - lean * v - u) * shrink, v, p[13] - v)
+    gaps = (
+        (u - lean * v) * shrink,
+        (rows[item, 12] - lean * v - u) * shrink,
+        v,
+        rows[item, 13] - v,
+    )
     best, line = EDGE_M, np.int64(-1)
     for k in range(4):
-        if edges[k] >= 0 and gaps[k] < best:
-            best, line = gaps[k], edges[k]
+        if edges[item, k] >= 0 and gaps[k] < best:
+            best, line = gaps[k], edges[item, k]
     return line
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def ground_cover(scene, o, d, t, key):
     """Return class, reflectivity and roughness of the ground where a ray meets it."""
@@ -217,11 +243,11 @@ def ground_cover(scene, o, d, t, key):
     return 72, 0.45, 0.03 + 0.08 * chance(key, 3)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always", error_model="numpy")
 @no_type_check
 def look_up(scene, o, d, key, high):
     """Return what a ray meets: t (inf: nothing), reflectivity, cosine, roughness, label, line."""
-    t_ground = march_ground(scene, o, d, high)
+    t_ground = march_ground(scene.ground, scene.layout, o, d, high)
     t, item, what = nearest(scene, o, d, key, min(t_ground, high))
     if item < 0:
         if t_ground >= high:
@@ -237,7 +263,7 @@ def look_up(scene, o, d, key, high):
     return t, shine, cosine, 0.0, label, line_of(scene, item, o, d, t)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 @no_type_check
 def cast(scene, beams, T, seed, out):
     """Cast every ray; ``out`` (R, 4) gets range (nan: no return), intensity, label, line id."""
@@ -245,11 +271,11 @@ def cast(scene, beams, T, seed, out):
     root = mix(seed)
     for ray in prange(beams.directions.shape[0]):
         key = mix(root + np.uint64(ray))
-        b = beams.directions[ray]
+        a, b, c = beams.directions[ray, 0], beams.directions[ray, 1], beams.directions[ray, 2]
         d = (
-            T[0, 0] * b[0] + T[0, 1] * b[1] + T[0, 2] * b[2],
-            T[1, 0] * b[0] + T[1, 1] * b[1] + T[1, 2] * b[2],
-            T[2, 0] * b[0] + T[2, 1] * b[1] + T[2, 2] * b[2],
+            T[0, 0] * a + T[0, 1] * b + T[0, 2] * c,
+            T[1, 0] * a + T[1, 1] * b + T[1, 2] * c,
+            T[2, 0] * a + T[2, 1] * b + T[2, 2] * c,
         )
         o = (T[0, 3], T[1, 3], T[2, 3])
         t, shine, cosine, rough, label, line = look_up(scene, o, d, key, high)

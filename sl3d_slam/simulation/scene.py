@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64, UInt8
+from jaxtyping import Float32, Int64, UInt8
 
 from sl3d_slam.geometry.se3 import Points, Transform
+from sl3d_slam.simulation.cells import cells_of
 from sl3d_slam.simulation.ground import Ground
-from sl3d_slam.simulation.primitives import NUM_PARAMETERS, Primitives, bounds
+from sl3d_slam.simulation.primitives import NO_LINE, NUM_PARAMETERS, Primitives, bounds, joined
 from sl3d_slam.simulation.raycast import Beams, SceneArrays, cast
 from sl3d_slam.simulation.sensor import Sensor
 
@@ -44,15 +45,14 @@ class Scene:
     def move(self, moving: Primitives) -> None:
         """Replace what moves; what was there before is gone."""
         arrays = self.arrays
-        count = min(len(moving), MAX_MOVING)
-        rows = slice(self.num_still, self.num_still + count)
-        arrays.kinds[rows] = moving.kinds[:count]
-        arrays.parameters[rows] = moving.parameters[:count]
-        arrays.materials[rows] = moving.materials[:count]
-        arrays.edges[rows] = moving.edges[:count]
+        rows = slice(self.num_still, self.num_still + len(moving))
+        arrays.kinds[rows] = moving.kinds
+        arrays.parameters[rows] = moving.parameters
+        arrays.materials[rows] = moving.materials
+        arrays.edges[rows] = moving.edges
         arrays.heads[:] = -1
-        cells, items = _cells_of(bounds(moving)[:count], arrays.layout, arrays.heads.shape)
-        for node, (cell, item) in enumerate(zip(cells[:MAX_NODES], items, strict=False)):
+        cells, items = cells_of(moving, arrays.layout, arrays.heads.shape)
+        for node, (cell, item) in enumerate(zip(cells, items, strict=True)):
             row, column = divmod(int(cell), arrays.heads.shape[1])
             arrays.nodes[node] = self.num_still + item, arrays.heads[row, column]
             arrays.heads[row, column] = node
@@ -60,17 +60,20 @@ class Scene:
 
 def build_scene(ground: Ground, still: list[Primitives]) -> Scene:
     """Arrange ground and primitives for ray casting."""
-    kinds = np.concatenate([p.kinds for p in still] + [np.zeros(MAX_MOVING, np.uint8)])
-    parameters = np.vstack([p.parameters for p in still] + [np.zeros((MAX_MOVING, NUM_PARAMETERS))])
-    materials = np.vstack([p.materials for p in still] + [np.zeros((MAX_MOVING, 3))])
-    edges = np.vstack([p.edges for p in still] + [np.full((MAX_MOVING, 4), -1, np.int64)])
-    boxes = np.vstack([bounds(p) for p in still])
+    room = Primitives(
+        np.zeros(MAX_MOVING, np.uint8),
+        np.zeros((MAX_MOVING, NUM_PARAMETERS)),
+        np.zeros((MAX_MOVING, 3)),
+        np.full((MAX_MOVING, 4), NO_LINE, np.int64),
+    )
+    standing = joined(still)
+    full = joined([standing, room])
     extent = np.array(ground.grid.shape[:2]) * ground.spacing_m
     shape = (int(extent[0] / CELL_M) + 1, int(extent[1] / CELL_M) + 1)
-    layout = np.array([*ground.low, ground.spacing_m, CELL_M])
-    cells, items = _cells_of(boxes, layout, shape)
+    layout = np.array([*ground.low, ground.spacing_m, CELL_M, ground.steepest])
+    cells, items = cells_of(standing, layout, shape)
     tops = np.full(shape[0] * shape[1], -np.inf)
-    np.maximum.at(tops, cells, boxes[items, 5])
+    np.maximum.at(tops, cells, bounds(standing)[items, 5])
     order = np.argsort(cells, kind="stable")
     starts = np.searchsorted(cells[order], np.arange(shape[0] * shape[1] + 1))
     heads = np.full(shape, -1, np.int64)
@@ -78,39 +81,24 @@ def build_scene(ground: Ground, still: list[Primitives]) -> Scene:
     arrays = SceneArrays(
         ground.grid,
         layout,
-        kinds,
-        parameters,
-        materials,
-        edges,
+        full.kinds,
+        full.parameters,
+        full.materials,
+        full.edges,
         starts,
         items[order],
         tops,
         heads,
         nodes,
     )
-    return Scene(arrays, len(boxes))
-
-
-def _cells_of(
-    boxes: Float64[np.ndarray, "P 6"], layout: Float64[np.ndarray, "4"], shape: tuple[int, int]
-) -> tuple[Int64[np.ndarray, "K"], Int64[np.ndarray, "K"]]:
-    """Return (cell, primitive) pairs for every cell that a primitive's bounds touch."""
-    limit = np.array([shape[1] - 1, shape[0] - 1])
-    low = np.clip(((boxes[:, :2] - layout[:2]) / layout[3]).astype(int), 0, limit)
-    high = np.clip(((boxes[:, 3:5] - layout[:2]) / layout[3]).astype(int), 0, limit)
-    size = high - low + 1
-    count = size[:, 0] * size[:, 1]
-    items = np.repeat(np.arange(len(boxes)), count)
-    rank = np.arange(len(items)) - np.repeat(np.cumsum(count) - count, count)
-    i = low[items, 0] + rank % np.maximum(size[items, 0], 1)
-    j = low[items, 1] + rank // np.maximum(size[items, 0], 1)
-    return j * shape[1] + i, items
+    return Scene(arrays, len(standing))
 
 
 def cast_scan(
     scene: Scene, T_town_lidar: Transform, sensor: Sensor, scan_index: int, seed: int
 ) -> SimulatedScan:
     """Take one sweep; the same arguments give the same points on any number of threads."""
+
     key = int(np.random.SeedSequence([seed, scan_index]).generate_state(1, np.uint64)[0])
     directions = sensor.directions(phase=(key % 1000) / 1000.0)
     numbers = np.array(

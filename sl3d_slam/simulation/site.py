@@ -67,9 +67,9 @@ def rectangle(
 
 def beside(street: Street, index: float, side: int, offset_m: float) -> Float64[np.ndarray, "3"]:
     """Return x, y and heading at ``offset_m`` beyond the road's edge; side +1 left, -1 right."""
-    row = street.points[int(np.clip(index, 0, len(street.points) - 1))]
+    nearest = int(np.clip(index, 0, len(street.points) - 1))
+    row, rest = street.points[nearest], index - nearest
     away = side * (row[3] + offset_m)
-    rest = index - int(np.clip(index, 0, len(street.points) - 1))
     x = row[0] + rest * np.cos(row[2]) - away * np.sin(row[2])
     y = row[1] + rest * np.sin(row[2]) + away * np.cos(row[2])
     return np.array([x, y, row[2]])
