@@ -1,5 +1,7 @@
 """Which loops to believe: odometry check, pairwise consistency, GNC; verdicts may change."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool
 from scipy.stats import chi2
@@ -13,6 +15,7 @@ from sl3d_slam.graph.clique import maximum_clique
 from sl3d_slam.graph.consistency import OdometryCheck, check_odometry, stack_loops
 from sl3d_slam.graph.noise import Matrix6, weakness
 from sl3d_slam.graph.outliers import gnc_tls
+from sl3d_slam.graph.rigid import rigid_transform
 from sl3d_slam.graph.verdicts import Status, Verdict
 from sl3d_slam.types import LoopConstraint
 
@@ -63,9 +66,12 @@ class LoopArbiter:
     def offer(self, loop: LoopConstraint) -> list[Verdict]:
         """Judge a new loop; return its verdict and every older verdict that it changes.
 
-        Raises GraphError where an end of the loop is not a keyframe of the chain.
+        Raises GraphError where an end of the loop is not a keyframe of the chain or its transform
+        is not rigid.
         """
         index = len(self.verdicts)
+        name = f"the loop from keyframe {loop.query_id} to {loop.target_id}"
+        loop = replace(loop, T_target_query=rigid_transform(loop.T_target_query, name))
         unusable = self._unusable(loop)
         if unusable:
             self.verdicts.append(Verdict(index, loop, "rejected", unusable))
@@ -106,8 +112,6 @@ class LoopArbiter:
         """Say why a loop cannot even enter the contest; remember its odometry check if it can."""
         if self.chain.position(loop.target_id) == self.chain.position(loop.query_id):
             return "joins a keyframe with itself"
-        if not np.isfinite(loop.T_target_query).all():
-            return "its transform holds values that are not finite"
         weak = weakness(loop.information)
         if weak:
             return weak

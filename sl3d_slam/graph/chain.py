@@ -8,6 +8,7 @@ from sl3d_slam.errors import GraphError
 from sl3d_slam.geometry.se3 import Transform, adjoint, invert
 from sl3d_slam.graph.batched import Matrices6, Transforms, adjoints, conjugates, inverts
 from sl3d_slam.graph.noise import Matrix6, chain_covariance
+from sl3d_slam.graph.rigid import rigid_transform
 
 
 class OdometryChain:
@@ -40,17 +41,18 @@ class OdometryChain:
         """
         if keyframe_id in self._positions:
             raise GraphError(f"keyframe {keyframe_id} is already in the graph; ids must be new")
+        T_odom_new = rigid_transform(T_odom_lidar, f"keyframe {keyframe_id}'s odometry")
         count = len(self)
         if count == len(self._poses):
             self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
             self._sums = np.concatenate([self._sums, np.zeros_like(self._sums)])
         covariance = None
         if count:
-            T_last_new = invert(self._poses[count - 1]) @ T_odom_lidar
+            T_last_new = invert(self._poses[count - 1]) @ T_odom_new
             covariance = chain_covariance(T_last_new, num_scans, self._settings)
-            Ad = adjoint(T_odom_lidar)
+            Ad = adjoint(T_odom_new)
             self._sums[count] = self._sums[count - 1] + Ad @ covariance @ Ad.T
-        self._poses[count] = T_odom_lidar
+        self._poses[count] = T_odom_new
         self._positions[keyframe_id] = count
         return covariance
 

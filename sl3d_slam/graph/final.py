@@ -14,6 +14,7 @@ from sl3d_slam.geometry.se3 import Transform, invert
 from sl3d_slam.graph.batched import Transforms, inverts
 from sl3d_slam.graph.g2o import G2oGraph, format_g2o
 from sl3d_slam.graph.noise import Matrix6, step_covariance
+from sl3d_slam.graph.rigid import rigid_transforms
 from sl3d_slam.graph.solve import Edge, Prior, anchor, optimise
 from sl3d_slam.types import LoopConstraint
 
@@ -62,17 +63,16 @@ def optimise_all_scans(
     Raises
     ------
     GraphError
-        for poses that are not finite, unknown keyframes and rank-deficient loops.
+        for poses that are not rigid, unknown keyframes and rank-deficient loops.
     """
-    if not np.isfinite(T_odom_lidar).all():
-        raise GraphError("the odometry holds poses that are not finite")
     if len(T_odom_lidar) == 0:
         return FinalGraph(np.zeros((0, 4, 4)), [], [])
-    edges = _odometry_edges(T_odom_lidar, settings)
+    odometry = rigid_transforms(T_odom_lidar, "the odometry")
+    edges = _odometry_edges(odometry, settings)
     edges += [_loop_edge(loop, scan_of_keyframe) for loop in loops]
-    priors = [anchor(0, T_odom_lidar[0])]
+    priors = [anchor(0, odometry[0])]
     anchors = {_scan_of(key, scan_of_keyframe): pose for key, pose in estimates.items()}
-    start = _spread(T_odom_lidar, anchors)
+    start = _spread(odometry, anchors)
     _, values = optimise(dict(enumerate(start)), edges, priors)
     poses = np.array([values.atPose3(index).matrix() for index in range(len(T_odom_lidar))])
     return FinalGraph(poses, edges, priors)

@@ -1,9 +1,8 @@
 """The live pose graph: keyframes and accepted loops in iSAM2, verdicts that may change."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import gtsam
-import numpy as np
 
 from sl3d_slam.config import GraphSettings
 from sl3d_slam.errors import GraphError
@@ -14,7 +13,8 @@ from sl3d_slam.graph.solve import Edge, anchor, between_factor, prior_factor
 from sl3d_slam.graph.verdicts import Verdict
 from sl3d_slam.types import LoopConstraint
 
-MAX_EXTRA_UPDATES = 10  # after a loop, until nothing is relinearised any more
+NUM_EXTRA_UPDATES = 2  # after a loop; later keyframes go on relinearising what still moves
+MAX_FINAL_UPDATES = 20  # when settling, until nothing is relinearised any more
 
 
 class PoseGraph:
@@ -53,24 +53,23 @@ class PoseGraph:
     ) -> None:
         """Append a keyframe to the chain; ``num_scans_since_last`` is ignored for the first.
 
-        Raises GraphError where the id is taken or the pose is not finite.
+        Raises GraphError where the id is taken or the pose is not rigid.
         """
-        if not np.isfinite(T_odom_lidar).all():
-            raise GraphError(f"keyframe {keyframe_id} has an odometry pose that is not finite")
         covariance = self._arbiter.add_keyframe(keyframe_id, T_odom_lidar, num_scans_since_last)
+        chain = self._arbiter.chain
+        T_odom_new = chain.pose(chain.position(keyframe_id))
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         if covariance is None:
-            graph.add(prior_factor(anchor(keyframe_id, T_odom_lidar)))
-            values.insert(keyframe_id, gtsam.Pose3(T_odom_lidar))
+            graph.add(prior_factor(anchor(keyframe_id, T_odom_new)))
+            values.insert(keyframe_id, gtsam.Pose3(T_odom_new))
         else:
             last_id = self._keyframe_ids[-1]
-            chain = self._arbiter.chain
-            T_last_new = invert(chain.pose(chain.position(last_id))) @ T_odom_lidar
+            T_last_new = invert(chain.pose(chain.position(last_id))) @ T_odom_new
             noise = covariance_to_gtsam(covariance)
             measured = gtsam.Pose3(T_last_new)
             graph.add(gtsam.BetweenFactorPose3(last_id, keyframe_id, measured, noise))
             values.insert(keyframe_id, self._pose(last_id).compose(measured))
-        self._isam.update(graph, values)
+        self._update(graph, values)
         self._keyframe_ids.append(keyframe_id)
 
     def add_loop(self, loop: LoopConstraint) -> list[Verdict]:
@@ -82,7 +81,9 @@ class PoseGraph:
 
     def settle(self) -> list[Verdict]:
         """Judge all loops once more together; return the verdicts that change."""
-        return self._apply(self._arbiter.settle())
+        changed = self._apply(self._arbiter.settle())
+        self._relax(MAX_FINAL_UPDATES)
+        return changed
 
     def estimate(self, keyframe_id: int) -> Transform:
         """Return the live ``T_world_lidar`` of a keyframe."""
@@ -122,14 +123,28 @@ class PoseGraph:
                 )
             )
         removed = [self._factor_ids.pop(index) for index in leaving]
-        result = self._isam.update(graph, gtsam.Values(), removed)
+        result = self._update(graph, gtsam.Values(), removed)
         for verdict, factor_id in zip(entering, result.getNewFactorsIndices(), strict=True):
             self._factor_ids[verdict.index] = int(factor_id)
-        self._relax()
+        self._relax(NUM_EXTRA_UPDATES)
         return changed
 
-    def _relax(self) -> None:
+    def _update(
+        self,
+        graph: gtsam.NonlinearFactorGraph | None = None,
+        values: gtsam.Values | None = None,
+        removed: Sequence[int] = (),
+    ) -> gtsam.ISAM2Result:
+        try:
+            return self._isam.update(
+                graph or gtsam.NonlinearFactorGraph(), values or gtsam.Values(), list(removed)
+            )
+        except RuntimeError as error:
+            cause = " ".join(str(error).split(". ", 1)[0].split())
+            raise GraphError(f"the pose graph cannot be solved: {cause}") from None
+
+    def _relax(self, max_updates: int) -> None:
         """Let iSAM2 iterate: one update is one linearisation, and a loop moves much."""
-        for _ in range(MAX_EXTRA_UPDATES):
-            if self._isam.update().getVariablesRelinearized() == 0:
+        for _ in range(max_updates):
+            if self._update().getVariablesRelinearized() == 0:
                 return
