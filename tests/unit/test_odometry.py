@@ -147,18 +147,16 @@ def test_points_are_not_changed_in_place(times):
 
 
 def street_of_rings(T_world_lidar, rng):
-    """Return a scan of flat ground, in rings that travel with the sensor, of poles and walls."""
+    """Return a scan of flat ground, in rings that travel with the sensor, of poles and bays."""
     azimuth = np.arange(0, 2 * np.pi, np.radians(0.5))
     radii = 3.0 * 1.12 ** np.arange(20)
     rings = np.array([[r * np.cos(a), r * np.sin(a), -1.7] for r in radii for a in azimuth])
     corners = rng.uniform([-40, 6], [40, 9], (25, 2)) * [[1, s] for s in rng.choice([-1, 1], 25)]
-    height = np.arange(-1.7, 2.0, 0.1)
-    poles = np.array([[x, y, z] for x, y in corners for z in height])
-    x, z = np.meshgrid(np.arange(-40, 40, 0.3), np.arange(-1.5, 3, 0.3))
-    walls = np.vstack(
-        [np.column_stack([x.ravel(), np.full(x.size, y), z.ravel()]) for y in (-10, 10)]
-    )
-    standing = transform_points(invert(T_world_lidar), np.vstack([poles, walls]))
+    poles = np.array([[x, y, z] for x, y in corners for z in np.arange(-1.7, 2.0, 0.1)])
+    x, z = (grid.ravel() for grid in np.meshgrid(np.arange(-40, 40, 0.2), np.arange(-1.5, 4, 0.3)))
+    depth = 10.0 + 2.0 * (np.floor(x / 3.7) % 2)
+    bays = np.vstack([np.column_stack([x, side * depth, z]) for side in (-1, 1)])
+    standing = transform_points(invert(T_world_lidar), np.vstack([poles, bays]))
     return np.vstack([rings, standing]) + rng.normal(0, 0.01, (len(rings) + len(standing), 3))
 
 
@@ -167,4 +165,5 @@ def test_second_scan_is_not_held_by_the_rings_on_the_ground():
     odometry = Odometry(OdometrySettings(), INPUT)
     odometry.register(Scan(0, 0.0, street_of_rings(np.eye(4), np.random.default_rng(10))))
     result = odometry.register(Scan(1, 0.1, street_of_rings(pose, np.random.default_rng(10))))
-    assert distance_m(invert(pose) @ result.T_odom_lidar) < 0.1
+    # from standstill alone 0.35 m are found; with two scans in 1 m voxels, 0.06 m remain
+    assert distance_m(invert(pose) @ result.T_odom_lidar) < 0.15
