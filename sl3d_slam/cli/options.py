@@ -15,3 +15,19 @@ SetOption = Annotated[
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
+DataArgument = Annotated[
+    Path,
+    typer.Argument(metavar="DATA", help="KITTI root or sequence, folder of scans, or bag."),
+]
+DatasetOption = Annotated[
+    str, typer.Option("--dataset", help="auto, kitti, generic, mcap or rosbag.")
+]
+SequenceOption = Annotated[
+    str | None, typer.Option("--sequence", metavar="NN", help="Which KITTI sequence, such as 00.")
+]
+TopicOption = Annotated[
+    str | None, typer.Option("--topic", help="Which PointCloud2 topic of a bag.")
+]
+ScansOption = Annotated[
+    int | None, typer.Option("--scans", min=1, help="Only the first so many scans.")
+]

@@ -1,5 +1,6 @@
 """The frame of the command line: verbs, exit statuses, one sentence for the user's errors."""
 
+import json
 import os
 import subprocess
 import sys
@@ -128,3 +129,31 @@ def test_reader_that_stops_reading_is_no_error(verb):
             check=False,
         )
     assert result.stderr == ""
+
+
+def test_info_describes_a_folder_of_scans(tmp_path, rng):
+    for name in ("a.bin", "b.bin"):
+        rng.uniform(5.0, 40.0, (600, 4)).astype("<f4").tofile(tmp_path / name)
+    result = CliRunner().invoke(app, ["info", str(tmp_path), "--json"])
+    facts = json.loads(result.stdout)
+    assert (facts["scans"], facts["points_in_the_first_scan"]) == (2, 600)
+    assert facts["true_poses"] is False
+    assert "scans: 2" in CliRunner().invoke(app, ["info", str(tmp_path)]).stdout
+
+
+def test_info_shows_the_figures_of_a_run_again(tmp_path):
+    figures = {"num_scans": 40, "ate_rmse_m": 0.125, "stages": {}}
+    (tmp_path / "metrics.json").write_text(json.dumps(figures))
+    assert "0.12 m" in CliRunner().invoke(app, ["info", str(tmp_path)]).stdout
+    shown = CliRunner().invoke(app, ["info", str(tmp_path), "--json"]).stdout
+    assert json.loads(shown) == figures
+
+
+@pytest.mark.parametrize(
+    "content", ["", "[1]", '{"num_scans": "many"}', '{"stages": 3}', "[" * 9999]
+)
+def test_info_names_damaged_figures(tmp_path, content):
+    (tmp_path / "metrics.json").write_text(content)
+    result = CliRunner().invoke(app, ["info", str(tmp_path)])
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"sl3d: {tmp_path}/metrics.json: expected the figures")
