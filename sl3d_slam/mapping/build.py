@@ -1,0 +1,95 @@
+"""From the lines of every keyframe to landmarks, and which of them to trust."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+from scipy.spatial import cKDTree
+
+from sl3d_slam.config import MapSettings
+from sl3d_slam.geometry.segments import midpoints
+from sl3d_slam.mapping.landmarks import mean_lines
+from sl3d_slam.mapping.merge import group_lines, standing
+from sl3d_slam.types import LineSet
+
+MAX_REGROUPINGS = 5
+
+
+class Observations(NamedTuple):
+    """Observed lines in the map frame (or landmarks seen before), a row each.
+
+    ``up`` points up at the row's keyframe, ``weights`` say how many observations a row stands for.
+    """
+
+    lines: LineSet
+    up: Float64[np.ndarray, "N 3"]
+    weights: Float64[np.ndarray, "N"]
+
+
+class Sightings(NamedTuple):
+    """Which keyframe saw which landmark: every pair once, sorted by landmark, then keyframe."""
+
+    landmarks: Int64[np.ndarray, "S"]
+    keyframes: Int64[np.ndarray, "S"]
+
+
+def group_observations(observations: Observations, settings: MapSettings) -> Int64[np.ndarray, "N"]:
+    """Return the landmark of each row, numbered from 0 by first row.
+
+    Rows are grouped, then the groups by their means, until no two means agree any more.
+    """
+    lines, weights = observations.lines, observations.weights
+    upright = standing(lines.endpoints, observations.up)
+    groups = group_lines(lines.endpoints, weights, upright, settings)
+    for _ in range(MAX_REGROUPINGS):
+        total = np.bincount(groups, weights=weights)
+        mean = mean_lines(lines, weights, groups)
+        mostly_upright = np.bincount(groups, weights=weights * upright) > total / 2
+        merged = group_lines(mean.endpoints, total, mostly_upright, settings)
+        groups = merged[groups]
+        if len(groups) == 0 or merged.max() + 1 == len(mean):
+            break
+    return groups
+
+
+def unique_sightings(
+    landmarks: Int64[np.ndarray, "N"], keyframes: Int64[np.ndarray, "N"]
+) -> Sightings:
+    """Count a landmark once a keyframe, even where it was found in two pieces."""
+    rows = np.unique(np.stack([landmarks, keyframes], axis=1), axis=0)
+    return Sightings(rows[:, 0], rows[:, 1])
+
+
+def trusted(
+    lines: LineSet,
+    sightings: Sightings,
+    positions: Float64[np.ndarray, "K 3"],
+    settings: MapSettings,
+) -> Bool[np.ndarray, "L"]:
+    """Tell which landmarks were seen often enough, given how often they could have been.
+
+    A landmark's chances are the keyframes no farther from it than the farthest that saw it. It
+    stays when it was seen ``min_support`` times, or at every chance where there were fewer, and at
+    ``min_seen_share`` of its chances. What moved was in view for longer than it stood where it
+    was seen; a post passed once and only glimpsed at the end of the drive had no more chances.
+    """
+    if len(lines) == 0:
+        return np.zeros(0, np.bool_)
+    place = midpoints(lines.endpoints)[:, :2]
+    between = place[sightings.landmarks] - positions[sightings.keyframes, :2]
+    farthest_m = np.zeros(len(lines))
+    np.maximum.at(farthest_m, sightings.landmarks, np.hypot(between[:, 0], between[:, 1]))
+    tree = cKDTree(positions[:, :2])
+    chances = tree.query_ball_point(place, farthest_m + 1e-6, return_length=True)
+    support = np.bincount(sightings.landmarks, minlength=len(lines))
+    enough = support >= np.minimum(settings.min_support, chances)
+    return enough & (support >= settings.min_seen_share * chances)
+
+
+def keep_landmarks(
+    lines: LineSet, sightings: Sightings, kept: Bool[np.ndarray, "L"]
+) -> tuple[LineSet, Sightings]:
+    """Drop landmarks and their sightings, and number the rest anew."""
+    number = np.cumsum(kept) - 1
+    rows = kept[sightings.landmarks]
+    return lines.take(kept), Sightings(number[sightings.landmarks[rows]], sightings.keyframes[rows])
