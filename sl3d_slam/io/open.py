@@ -42,13 +42,26 @@ def open_dataset(
     """
     if dataset not in KINDS:
         raise InputError(f"{dataset}: unknown kind of dataset; expected one of {', '.join(KINDS)}")
-    if not path.exists():
-        raise InputError(f"{path}: not found; expected {_EXPECTED}")
-    kind = detect(path) if dataset == "auto" else dataset
+    try:
+        if not path.exists():
+            raise InputError(f"{path}: not found; expected {_EXPECTED}")
+        kind = detect(path) if dataset == "auto" else dataset
+        _refuse_foreign_options(path, kind, sequence, topic)
+        return _open_kind(path, kind, sequence, topic, settings)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+
+
+def _refuse_foreign_options(path: Path, kind: str, sequence: str | None, topic: str | None) -> None:
     if sequence is not None and kind != "kitti":
         raise InputError(f"{path}: is a {kind} dataset without sequences; leave --sequence out")
     if topic is not None and kind not in ("mcap", "rosbag"):
         raise InputError(f"{path}: is a {kind} dataset without topics; leave the topic out")
+
+
+def _open_kind(
+    path: Path, kind: str, sequence: str | None, topic: str | None, settings: InputSettings
+) -> Dataset:
     match kind:
         case "kitti":
             return open_kitti(path, sequence, settings)

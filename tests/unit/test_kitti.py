@@ -240,6 +240,8 @@ def test_wrong_sequence_lists_what_there_is(root):
 def test_missing_and_empty_places(tmp_path):
     with pytest.raises(InputError, match="nowhere: not found"):
         open_dataset(tmp_path / "nowhere", SETTINGS)
+    with pytest.raises(InputError, match="cannot be read"):
+        open_dataset(tmp_path / ("x" * 300), SETTINGS)  # a name no file system takes
     with pytest.raises(InputError, match="holds no scans"):
         open_dataset(tmp_path, SETTINGS)
     with pytest.raises(InputError, match="no KITTI sequence"):
