@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 SENSOR_HEIGHT_M = 1.73
 MARGIN_M = 135.0
 KERB_M = 0.12
-MAX_SLOPE = 0.15
+MAX_SLOPE = 0.12
 Positions = Float64[np.ndarray, "N 2"]
 
 
@@ -41,7 +41,7 @@ class Ground:
         scaled = np.clip(scaled, 0.0, upper)
         i, j = scaled.astype(int).T
         a, b = (scaled - np.floor(scaled)).T
-        field = self.grid[:, :, channel].astype(float)
+        field = self.grid[:, :, channel]
         low = (1 - a) * field[j, i] + a * field[j, i + 1]
         high = (1 - a) * field[j + 1, i] + a * field[j + 1, i + 1]
         return (1 - b) * low + b * high
@@ -134,6 +134,10 @@ def _unevenness(count: np.ndarray, rng: np.random.Generator) -> Float64[np.ndarr
 
 
 def _limit_slope(height: Float64[np.ndarray, "J I"]) -> Float64[np.ndarray, "J I"]:
-    """Flatten the whole field where it is steeper than the ray caster assumes."""
-    steepest = float(np.hypot(*np.gradient(height)).max())
-    return height * min(1.0, 0.9 * MAX_SLOPE / max(steepest, 1e-9))
+    """Smooth the field until nothing is steeper than MAX_SLOPE, and flatten it at last."""
+    for sigma in (0.0, 6.0, 10.0, 16.0, 25.0):
+        smooth = gaussian_filter(height, sigma) if sigma else height
+        steepest = float(np.hypot(*np.gradient(smooth)).max())
+        if steepest <= MAX_SLOPE:
+            return smooth
+    return smooth * MAX_SLOPE / steepest

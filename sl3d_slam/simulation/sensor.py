@@ -59,7 +59,7 @@ def sensor_named(name: str) -> Sensor:
     match name:
         case "hdl64":
             upper, lower = 2.0 - np.arange(32) / 3.0, -8.83 - 0.5 * np.arange(32)
-            return Sensor(name, np.radians(np.concatenate([upper, lower])), 2000)
+            return Sensor(name, np.radians(np.concatenate([upper, lower])), 1950)
         case "hdl32":
             return Sensor(name, np.radians(10.67 - np.arange(32) * 41.34 / 31), 2170)
         case "os1-128":

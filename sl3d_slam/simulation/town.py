@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sl3d_slam.simulation.buildings import build_street
 from sl3d_slam.simulation.furniture import furnish
 from sl3d_slam.simulation.ground import Ground, build_ground
+from sl3d_slam.simulation.lots import build_backyards, build_street
 from sl3d_slam.simulation.network import Network, build_network
 from sl3d_slam.simulation.primitives import NO_LINE, Primitives, TrueLines
 from sl3d_slam.simulation.roads import Road
@@ -37,6 +37,7 @@ def build_town(road: Road, seed: int) -> Town:
     for street in network.streets:
         build_street(site, street, rng)
     for street in network.streets:
+        build_backyards(site, street, rng)
         furnish(site, street, rng)
     for street in network.streets:
         plant_street(site, street, rng)

@@ -85,22 +85,22 @@ def build_traffic(
 def moving_primitives(
     traffic: Traffic, ground: Ground, scan_index: int, sensor_xy: Float64[np.ndarray, "2"]
 ) -> Primitives:
-    """Return everything that moves, at the time of a scan, except what the car would touch."""
+    """Return what moves within 75 m at the time of a scan, except what the car would touch."""
     builder = SceneBuilder()
-    length = len(traffic.way)
-    for start, speed, lateral, is_car, size, shine in traffic.movers:
-        row = traffic.way[int(start + speed * scan_index) % length]
-        part = float((start + speed * scan_index) % 1.0)
-        ahead = np.array([np.cos(row[2]), np.sin(row[2])])
-        place = row[:2] + part * ahead + lateral * np.array([-ahead[1], ahead[0]])
-        away = float(np.linalg.norm(place - sensor_xy))
-        if away > 90.0 or away < (3.4 if is_car else 1.5):
-            continue
-        if is_car:
-            yaw = row[2] + (np.pi if speed < 0 else 0.0)
-            car(builder, ground, (*place, yaw), (size, shine), Semantic.MOVING_CAR)
+    start, speed, lateral, cars = traffic.movers[:, :4].T
+    along = (start + speed * scan_index) % len(traffic.way)
+    rows = traffic.way[along.astype(int)]
+    ahead = np.column_stack([np.cos(rows[:, 2]), np.sin(rows[:, 2])])
+    left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    places = rows[:, :2] + (along % 1.0)[:, None] * ahead + lateral[:, None] * left
+    away = np.linalg.norm(places - sensor_xy, axis=1)
+    for k in np.flatnonzero((away < 75.0) & (away > np.where(cars, 3.6, 1.5))):
+        size, shine = traffic.movers[k, 4:]
+        if cars[k]:
+            yaw = rows[k, 2] + (np.pi if speed[k] < 0 else 0.0)
+            car(builder, ground, (*places[k], yaw), (size, shine), Semantic.MOVING_CAR)
         else:
-            person(builder, ground, place, (size, scan_index))
+            person(builder, ground, places[k], (size, scan_index))
     return builder.primitives()
 
 

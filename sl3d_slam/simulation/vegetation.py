@@ -37,7 +37,7 @@ def tree(site: Site, place: np.ndarray, margin_m: float, rng: np.random.Generato
     if height is None:
         return
     foot = np.array([place[0], place[1], height])
-    stem = rng.uniform(1.6, 3.2)
+    stem = rng.uniform(2.4, 3.8) if margin_m < 1.0 else rng.uniform(1.4, 3.0)
     top = pole(site.builder, foot, stem, radius, BARK)
     crown = rng.uniform(1.2, 2.8)
     material = leaves(rng)
@@ -45,7 +45,7 @@ def tree(site: Site, place: np.ndarray, margin_m: float, rng: np.random.Generato
         offset = rng.normal(0, 0.45, 3) * crown * np.array([1.0, 1.0, 0.8])
         radii = crown * rng.uniform(0.4, 0.8, 3)
         centre = top + offset + np.array([0.0, 0.0, 0.7 * crown])
-        centre[2] = max(centre[2], top[2] - 0.4 + radii[2])
+        centre[2] = max(centre[2], top[2] - 0.2 + radii[2])
         site.builder.ellipsoid(centre, radii, material)
 
 
@@ -57,7 +57,7 @@ def shrub(site: Site, place: np.ndarray, margin_m: float, rng: np.random.Generat
     material = leaves(rng)
     for _ in range(int(rng.integers(1, 4))):
         radii = rng.uniform([0.4, 0.4, 0.4], [1.1, 1.1, 1.3])
-        x, y = place[:2] + rng.normal(0, 0.3, 2)
+        x, y = place[:2] + rng.uniform(-0.3, 0.3, 2)
         site.builder.ellipsoid((x, y, height + 0.6 * radii[2]), radii, material)
 
 
@@ -110,7 +110,7 @@ def plant_street(site: Site, street: Street, rng: np.random.Generator) -> None:
 
 def plant_backyards(site: Site, centres: Positions, rng: np.random.Generator) -> None:
     """Scatter trees and shrubs over what is left within 60 m of the given road positions."""
-    for centre in centres[:: max(1, 4)]:
+    for centre in centres[::2]:
         place = centre + rng.uniform(-60, 60, 2)
         if site.ground.road_distance_m(place[None])[0] < 4.0:
             continue
