@@ -83,7 +83,9 @@ def _in_horizontal_range(points: Points, near_m: float, far_m: float) -> Bool[np
     return (squared > near_m**2) & (squared < far_m**2)
 
 
-def _lowest_per_cell(points: Points, cell_m: float) -> Points:
+def _lowest_per_cell(
+    points: Float64[np.ndarray, "N 3"], cell_m: float
+) -> Float64[np.ndarray, "C 3"]:
     """Return the lowest point of each occupied cell within the fitting range."""
     size = int(np.ceil(2 * MARGIN * FIT_RANGE_M / cell_m))
     cells = ((points[:, :2] + MARGIN * FIT_RANGE_M) / cell_m).astype(np.int64)

@@ -152,7 +152,7 @@ def _goes_on(
     beyond = (ahead > 0.1) & (ahead < CLEAR_BEYOND_M) & (aside < 0.5)
     beyond &= (z > span[0]) & (z < span[1])
     levels = np.unique(np.floor((z[beyond] - span[0]) / SLICE_M))
-    return len(levels) > 0.34 * np.ceil((span[1] - span[0]) / SLICE_M)
+    return bool(len(levels) > 0.34 * np.ceil((span[1] - span[0]) / SLICE_M))
 
 
 def _span(z: Float64[np.ndarray, "N"]) -> tuple[float, float]:

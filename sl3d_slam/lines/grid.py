@@ -1,10 +1,13 @@
 """Voxel grid and horizontal cell index, compiled."""
 
+from typing import no_type_check
+
 import numpy as np
 from numba import njit
 
 
 @njit(cache=True)
+@no_type_check
 def voxel_means(
     points: np.ndarray, voxel_m: float, min_range_m: float, max_range_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -43,6 +46,7 @@ def voxel_means(
 
 
 @njit(cache=True)
+@no_type_check
 def _sort_by_voxel(
     points: np.ndarray, keys: np.ndarray, voxel_of: np.ndarray, count: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -70,6 +74,7 @@ def _sort_by_voxel(
 
 
 @njit(cache=True)
+@no_type_check
 def cell_index(
     points: np.ndarray, cell_m: float, half_width_m: float
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -18,6 +18,7 @@ JOIN_RADIUS_M = 0.35
 MAX_RADIUS_M = 0.45
 RANGE_NOISE_M = 0.02
 TILT_PRIOR_RAD = 0.05
+HALF_WAY_DEPTH = 0.75**0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,38 +68,52 @@ def _fit_pole(scene: Scene, voxels: np.ndarray, min_length_m: float) -> Upright 
     returns = scene.returns_of(voxels)
     if len(returns) < 5:
         return None
-    base, slope, weights = fit_upright(returns)
-    sight = base[:2] / np.linalg.norm(base[:2])
-    residual = returns[:, :2] - base[:2] - slope * (returns[:, 2:] - base[2])
-    across = residual @ np.array([-sight[1], sight[0]])
-    spread = np.sqrt(np.sum(weights * across**2) / np.sum(weights))
-    radius = np.sqrt(3.0 * max(spread**2 - RANGE_NOISE_M**2, 0.0))
+    front, slope = fit_upright(returns)
+    axis, radius = _axis_behind(front, slope, returns)
     if radius > MAX_RADIUS_M:
         return None
-    axis = base.copy()
-    axis[:2] += sight * radius * np.pi / 4
     return _judge(scene, voxels, (axis, slope, radius, len(returns)), min_length_m)
 
 
 def fit_upright(
-    points: Points,
-) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "2"], Float64[np.ndarray, "N"]]:
+    points: Float64[np.ndarray, "N 3"],
+) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "2"]]:
     """Fit ``xy = base + slope (z - base_z)`` robustly, leaning towards the vertical.
 
-    Returns the base point at the mean height, the slope and the last weights.
+    Returns the base point at the mean height and the slope.
     """
     weights = np.ones(len(points))
-    height = points[:, 2]
-    base, slope = points.mean(axis=0), np.zeros(2)
+    stiffness = (0.1 / TILT_PRIOR_RAD) ** 2
     for scale_m in (0.3, 0.15, 0.1, 0.1):
-        total = weights.sum()
-        base = (weights[:, None] * points).sum(axis=0) / total
-        dz = height - base[2]
-        stiffness = (0.1 / TILT_PRIOR_RAD) ** 2
-        slope = (weights * dz) @ (points[:, :2] - base[:2]) / (weights @ dz**2 + stiffness)
-        residual = np.linalg.norm(points[:, :2] - base[:2] - slope * dz[:, None], axis=1)
-        weights = 1.0 / (1.0 + (residual / scale_m) ** 2) ** 2
-    return base, slope, weights
+        base = weights @ points / weights.sum()
+        rise = points[:, 2] - base[2]
+        flat = points[:, :2] - base[:2]
+        slope = (weights * rise) @ flat / (weights @ rise**2 + stiffness)
+        squared = ((flat - slope * rise[:, None]) ** 2).sum(axis=1)
+        weights = 1.0 / (1.0 + squared / scale_m**2) ** 2
+    return base, slope
+
+
+def _axis_behind(
+    front: Float64[np.ndarray, "3"],
+    slope: Float64[np.ndarray, "2"],
+    returns: Float64[np.ndarray, "N 3"],
+) -> tuple[Float64[np.ndarray, "3"], float]:
+    """Move a line from the visible front of a cylinder to its axis; return it and the radius.
+
+    Beams are evenly spread over the width, so that nine tenths of it lie between the 5 % and 95 %
+    quantiles, and the median depth is that half way between axis and rim: 0.866 radii in front.
+    """
+    sight = front[:2] / np.linalg.norm(front[:2])
+    offset = returns[:, :2] - front[:2] - slope * (returns[:, 2:] - front[2])
+    across, depth = offset @ np.array([-sight[1], sight[0]]), offset @ sight
+    low, high = np.quantile(across, [0.05, 0.95])
+    radius = np.sqrt(max(((high - low) / 1.8) ** 2 - RANGE_NOISE_M**2, 0.0))
+    inside = np.abs(across - 0.5 * (low + high)) <= radius + RANGE_NOISE_M
+    back = (np.median(depth[inside]) if inside.any() else 0.0) + HALF_WAY_DEPTH * radius
+    side = 0.5 * (low + high)
+    shift = sight * back + np.array([-sight[1], sight[0]]) * side
+    return front + np.array([*shift, 0.0]), float(radius)
 
 
 def _judge(

@@ -38,7 +38,7 @@ class Scene:
     points: Points
     heights: Float64[np.ndarray, "N"]
     counts: Int64[np.ndarray, "N"]
-    members: Points
+    members: Float64[np.ndarray, "P 3"]
     member_start: Int64[np.ndarray, "N"]
     member_stop: Int64[np.ndarray, "N"]
     structure: Float64[np.ndarray, "N 6"]
@@ -58,7 +58,7 @@ class Scene:
         ]
         return np.concatenate(rows)
 
-    def returns_of(self, voxels: np.ndarray) -> Points:
+    def returns_of(self, voxels: Int64[np.ndarray, "V"]) -> Points:
         """Return all returns of the given voxels."""
         groups = [
             self.members[first:last]

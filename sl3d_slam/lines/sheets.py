@@ -1,5 +1,7 @@
 """Upright sheets (walls, fences) by region growing; compiled."""
 
+from typing import no_type_check
+
 import numpy as np
 from numba import njit
 
@@ -12,6 +14,7 @@ MIN_FITTED = 15
 
 
 @njit(cache=True)
+@no_type_check
 def grow_sheets(
     points: np.ndarray,
     normals: np.ndarray,
@@ -54,6 +57,7 @@ def grow_sheets(
 
 
 @njit(cache=True)
+@no_type_check
 def _update_plane(
     plane: np.ndarray, moments: np.ndarray, origin: np.ndarray, point: np.ndarray
 ) -> None:
@@ -70,6 +74,7 @@ def _update_plane(
 
 
 @njit(cache=True)
+@no_type_check
 def _visit(
     arrays: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     index: tuple[np.ndarray, np.ndarray],

@@ -4,6 +4,8 @@ For each voxel two questions are asked of its surroundings in a slab of some hei
 a thin upright sheet (a wall), and is it part of a narrow column with nothing around (a pole)?
 """
 
+from typing import no_type_check
+
 import numpy as np
 from numba import njit, prange
 
@@ -18,6 +20,7 @@ MAX_RING_BINS = 3
 
 
 @njit(cache=True, parallel=True)
+@no_type_check
 def local_structure(
     points: np.ndarray,
     order: np.ndarray,
@@ -53,6 +56,7 @@ def local_structure(
 
 
 @njit(cache=True)
+@no_type_check
 def _popcount(mask: int) -> int:
     count = 0
     while mask:
@@ -62,6 +66,7 @@ def _popcount(mask: int) -> int:
 
 
 @njit(cache=True)
+@no_type_check
 def _sheet_moments(
     points: np.ndarray,
     order: np.ndarray,
@@ -93,6 +98,7 @@ def _sheet_moments(
 
 
 @njit(cache=True)
+@no_type_check
 def _column_bins(
     points: np.ndarray,
     order: np.ndarray,

@@ -1,5 +1,7 @@
 """What the sensor sees beside an edge: the occlusion test; compiled."""
 
+from typing import no_type_check
+
 import numpy as np
 from numba import njit
 
@@ -8,6 +10,7 @@ ELEVATION_BINS = 90
 
 
 @njit(cache=True)
+@no_type_check
 def nearest_ranges(points_lidar: np.ndarray, R_level_lidar: np.ndarray) -> np.ndarray:
     """Return the nearest horizontal range per azimuth (0.25 deg) and elevation (1 deg) bin.
 
@@ -28,12 +31,14 @@ def nearest_ranges(points_lidar: np.ndarray, R_level_lidar: np.ndarray) -> np.nd
 
 
 @njit(cache=True)
+@no_type_check
 def _elevation_bin(planar: float, z: float) -> int:
     elevation = int(np.floor(np.degrees(np.arctan2(z, planar)))) + ELEVATION_BINS // 2
     return min(max(elevation, 0), ELEVATION_BINS - 1)
 
 
 @njit(cache=True)
+@no_type_check
 def hidden_share(
     image: np.ndarray, points: np.ndarray, azimuth_from: float, azimuth_to: float, margin_m: float
 ) -> float:
