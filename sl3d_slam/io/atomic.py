@@ -1,4 +1,4 @@
-"""Whole files, where the input and output stages look for them; see :mod:`sl3d_slam.files`."""
+"""The run folder and whole files, as :mod:`sl3d_slam.files` defines them for every stage."""
 
 from sl3d_slam.files import prepare_run_folder, write_whole
 

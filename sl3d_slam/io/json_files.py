@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sl3d_slam.errors import OutputError
-from sl3d_slam.io.atomic import write_whole
+from sl3d_slam.files import write_whole
 
 
 def write_json(path: Path, tree: Any) -> None:

@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
 from sl3d_slam.errors import InputError
-from sl3d_slam.io.atomic import write_whole
+from sl3d_slam.files import write_whole
 from sl3d_slam.io.text_table import read_table
 from sl3d_slam.types import Trajectory
 

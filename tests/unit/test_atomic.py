@@ -4,7 +4,7 @@ import os
 import pytest
 
 from sl3d_slam.errors import OutputError
-from sl3d_slam.io.atomic import prepare_run_folder, write_whole
+from sl3d_slam.files import prepare_run_folder, write_whole
 from sl3d_slam.io.json_files import write_json
 
 
