@@ -11,6 +11,7 @@ from sl3d_slam.types import LineKind, LineSet
 
 STANDING_SINE = 0.8
 DOT_AREA_PER_M = 6.0
+SMALLEST_DOT = 8.0
 
 
 def draw_plan_lines(axes: Any, lines: LineSet, label: bool = True) -> None:
@@ -48,7 +49,7 @@ def _draw_kind(axes: Any, endpoints: Segments, colour: str, label: str | None) -
     lying = endpoints[~standing][:, :, :2]
     draw_segments(axes, lying, colors=colour, linewidths=1.8, zorder=3)
     at = midpoints(endpoints[standing])
-    area = DOT_AREA_PER_M * _heights_m(endpoints[standing])
+    area = SMALLEST_DOT + DOT_AREA_PER_M * _heights_m(endpoints[standing])
     axes.scatter(at[:, 0], at[:, 1], s=area, c=colour, alpha=0.8, lw=0.4, ec="white", zorder=4)
     if label:
         marks = {"marker": "o" if standing.any() else "", "ls": "-" if len(lying) else ""}

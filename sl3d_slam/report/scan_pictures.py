@@ -33,6 +33,7 @@ SAMPLES_PER_LINE = 24
 VIEW_M = 60.0
 PAGE_IN = 13.0
 GROUND_SHADE = 0.1
+LOWEST_DEG = -14.0
 
 
 def draw_lines(points_lidar: Points, lines: LineSet, title: str) -> bytes:
@@ -120,8 +121,7 @@ def _window(points: Points) -> Window:
 
 
 def _draw_panorama(axes: Any, points: Points, lines: LineSet) -> None:
-    range_m = np.linalg.norm(points, axis=1)
-    draw_cloud(axes, to_angles_deg(points), np.clip(1.0 - range_m / 50.0, 0.0, 1.0))
+    draw_cloud(axes, to_angles_deg(points), _nearness(points), size=1.6)
     steps = np.linspace(0.0, 1.0, SAMPLES_PER_LINE)[:, None]
     for (start, end), colour in zip(lines.endpoints, kind_colours(lines), strict=True):
         at = to_angles_deg(start + steps * (end - start))
@@ -133,7 +133,9 @@ def _draw_panorama(axes: Any, points: Points, lines: LineSet) -> None:
     axes.set_xticks(np.arange(-180, 181, 45))
     axes.set_xlabel("azimuth (deg), left positive")
     axes.set_ylabel("elevation (deg)")
-    axes.set_title("all around, as the sensor sees it; darker points are nearer")
+    axes.set_title(
+        "all around, as the sensor sees it; darker points are nearer, the ground is faint"
+    )
     style_axes(axes)
     axes.grid(False)
 
@@ -149,8 +151,14 @@ def _height_to_width(window: Window) -> float:
     return float(height / width)
 
 
+def _nearness(points: Points) -> Float64[np.ndarray, "N"]:
+    near = np.clip(1.2 - np.linalg.norm(points, axis=1) / 50.0, 0.3, 1.0)
+    return np.where(height_shade(points[:, 2]) > GROUND_SHADE, near, 0.0)
+
+
 def _elevation_limits(points: Points) -> tuple[float, float]:
+    """Leave out most of the ground, where no lines are."""
     if len(points) == 0:
-        return -25.0, 15.0
+        return LOWEST_DEG, 15.0
     low, high = np.percentile(to_angles_deg(points)[:, 1], [0.5, 99.9])
-    return float(low) - 2.0, float(high) + 4.0
+    return max(float(low) - 1.0, LOWEST_DEG), float(high) + 3.0

@@ -123,14 +123,14 @@ def draw_segments(axes: Any, ends: Float64[np.ndarray, "L 2 2"], **style: Any) -
     axes.add_collection(LineCollection(list(ends), **style), autolim=True)
 
 
-def draw_cloud(axes: Any, at: Plane, shade: Shaped[np.ndarray, "N"]) -> None:
+def draw_cloud(axes: Any, at: Plane, shade: Shaped[np.ndarray, "N"], size: float = 0.8) -> None:
     """Draw many points small; ``shade`` runs from 0 (faint) to 1 (dark grey)."""
     order = np.argsort(shade)
     axes.scatter(
         at[order, 0],
         at[order, 1],
         c=0.12 + 0.63 * shade[order],
-        s=0.6,
+        s=size,
         lw=0,
         cmap="Greys",
         vmin=0.0,
