@@ -1,5 +1,6 @@
 """From the lines of every keyframe to landmarks, and which of them to trust."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -93,3 +94,39 @@ def keep_landmarks(
     number = np.cumsum(kept) - 1
     rows = kept[sightings.landmarks]
     return lines.take(kept), Sightings(number[sightings.landmarks[rows]], sightings.keyframes[rows])
+
+
+def by_keyframe(
+    sightings: Sightings, count: int
+) -> tuple[Int64[np.ndarray, "K+1"], Int64[np.ndarray, "S"]]:
+    """Return sightings as offsets by keyframe and ascending landmarks."""
+    order = np.lexsort((sightings.landmarks, sightings.keyframes))
+    offsets = np.searchsorted(sightings.keyframes[order], np.arange(count + 1))
+    return offsets.astype(np.int64), sightings.landmarks[order]
+
+
+def observations_of(
+    keyframe_lines: Sequence[LineSet],
+    T_map_keyframe: Float64[np.ndarray, "K 4 4"],
+    keyframe_up: Float64[np.ndarray, "K 3"],
+) -> tuple[Observations, Int64[np.ndarray, "N"]]:
+    """Return all lines in the map frame, keyframe after keyframe, and their keyframes."""
+    counts = [len(lines) for lines in keyframe_lines]
+    keyframes = np.repeat(np.arange(len(counts)), counts).astype(np.int64)
+    up = np.einsum("kij,kj->ki", T_map_keyframe[:, :3, :3], keyframe_up)
+    moved = [lines.transformed(T) for lines, T in zip(keyframe_lines, T_map_keyframe, strict=True)]
+    joined = join_lines(moved)
+    return Observations(joined, up[keyframes], np.ones(len(joined))), keyframes
+
+
+def join_lines(parts: Sequence[LineSet]) -> LineSet:
+    """Return the lines of all parts in one set, in order."""
+    if not parts:
+        return LineSet(np.zeros((0, 2, 3)), np.zeros((0, 0), np.float32), np.zeros(0, np.int64))
+    return LineSet(
+        endpoints=np.concatenate([part.endpoints for part in parts]),
+        descriptors=np.concatenate([part.descriptors for part in parts]),
+        num_points=np.concatenate([part.num_points for part in parts]),
+        kinds=np.concatenate([part.kinds for part in parts]),
+        scores=np.concatenate([part.scores for part in parts]),
+    )

@@ -13,10 +13,10 @@ from sl3d_slam.errors import InputError
 from sl3d_slam.files import write_whole
 from sl3d_slam.geometry.se3 import Transform
 from sl3d_slam.mapping.build import (
-    Observations,
-    Sightings,
+    by_keyframe,
     group_observations,
     keep_landmarks,
+    observations_of,
     trusted,
     unique_sightings,
 )
@@ -121,7 +121,7 @@ class LineMap:
         origin : model, settings of the whole run, simulated or not.
         """
         _check_counts(len(T_map_keyframe), keyframe_lines, keyframe_up, clouds)
-        observations, keyframes = _observations(keyframe_lines, T_map_keyframe, keyframe_up)
+        observations, keyframes = observations_of(keyframe_lines, T_map_keyframe, keyframe_up)
         groups = group_observations(observations, settings)
         lines = mean_lines(observations.lines, observations.weights, groups)
         sightings = unique_sightings(groups, keyframes)
@@ -135,13 +135,27 @@ class LineMap:
         return cls(lines, T_map_keyframe, keyframe_up, offsets, indices, cloud, origin)
 
     def transformed(self, T_new_map: Transform) -> "LineMap":
-        """Express the landmarks and keyframes in another frame, without the cloud."""
+        """Express the map in another frame; the cloud is cut into voxels anew."""
         return replace(
             self,
             lines=self.lines.transformed(T_new_map),
             T_map_keyframe=T_new_map @ self.T_map_keyframe,
-            cloud=None,
+            cloud=None if self.cloud is None else self.cloud.transformed(T_new_map),
         )
+
+    def joined(self, other: "LineMap", T_map_other: Transform, settings: MapSettings) -> "LineMap":
+        """Return one map of both, the other's keyframes after this one's.
+
+        Landmarks of both that are one line are merged, each counting by its support.
+
+        Raises
+        ------
+        InputError
+            where the two maps were made with different line models.
+        """
+        from sl3d_slam.mapping.join import join_maps
+
+        return join_maps(self, other.transformed(T_map_other), settings)
 
     def save(self, path: Path | str) -> None:
         """Write the map as one file, whole or not at all.
@@ -170,15 +184,6 @@ class LineMap:
         return read_map(Path(path))
 
 
-def by_keyframe(
-    sightings: Sightings, count: int
-) -> tuple[Int64[np.ndarray, "K+1"], Int64[np.ndarray, "S"]]:
-    """Return sightings as offsets by keyframe and ascending landmarks."""
-    order = np.lexsort((sightings.landmarks, sightings.keyframes))
-    offsets = np.searchsorted(sightings.keyframes[order], np.arange(count + 1))
-    return offsets.astype(np.int64), sightings.landmarks[order]
-
-
 def _check_counts(
     count: int,
     keyframe_lines: Sequence[LineSet],
@@ -190,30 +195,3 @@ def _check_counts(
         raise InputError(f"a map of {count} poses needs lines, up vectors and clouds of each")
     if len({lines.descriptors.shape[1] for lines in keyframe_lines}) > 1:
         raise InputError("the lines of a map need descriptors of one model, all of one length")
-
-
-def _observations(
-    keyframe_lines: Sequence[LineSet],
-    T_map_keyframe: Float64[np.ndarray, "K 4 4"],
-    keyframe_up: Float64[np.ndarray, "K 3"],
-) -> tuple[Observations, Int64[np.ndarray, "N"]]:
-    """Return all lines in the map frame, keyframe after keyframe, and their keyframes."""
-    counts = [len(lines) for lines in keyframe_lines]
-    keyframes = np.repeat(np.arange(len(counts)), counts).astype(np.int64)
-    up = np.einsum("kij,kj->ki", T_map_keyframe[:, :3, :3], keyframe_up)
-    moved = [lines.transformed(T) for lines, T in zip(keyframe_lines, T_map_keyframe, strict=True)]
-    joined = join_lines(moved)
-    return Observations(joined, up[keyframes], np.ones(len(joined))), keyframes
-
-
-def join_lines(parts: Sequence[LineSet]) -> LineSet:
-    """Return the lines of all parts in one set, in order."""
-    if not parts:
-        return LineSet(np.zeros((0, 2, 3)), np.zeros((0, 0), np.float32), np.zeros(0, np.int64))
-    return LineSet(
-        endpoints=np.concatenate([part.endpoints for part in parts]),
-        descriptors=np.concatenate([part.descriptors for part in parts]),
-        num_points=np.concatenate([part.num_points for part in parts]),
-        kinds=np.concatenate([part.kinds for part in parts]),
-        scores=np.concatenate([part.scores for part in parts]),
-    )

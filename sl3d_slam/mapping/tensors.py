@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.spatial.transform import Rotation
 
-from sl3d_slam.mapping.build import Sightings
-from sl3d_slam.mapping.line_map import LineMap, MapOrigin, by_keyframe
+from sl3d_slam.mapping.build import Sightings, by_keyframe
+from sl3d_slam.mapping.line_map import LineMap, MapOrigin
 from sl3d_slam.mapping.varint import pack, pack_table, unpack, unpack_table
 from sl3d_slam.mapping.voxels import BLOCK_VOXELS, LEVELS, VoxelCloud
 from sl3d_slam.types import LineKind, LineSet

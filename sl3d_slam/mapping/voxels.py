@@ -70,7 +70,14 @@ class VoxelCloud:
 
     def all_points(self) -> Float32[np.ndarray, "V 3"]:
         """Return every point, in the map frame."""
-        return self._decoded(np.arange(len(self.blocks))).astype(np.float32)
+        return self._decoded(self._all()).astype(np.float32)
+
+    def transformed(self, T_new_map: Transform) -> "VoxelCloud":
+        """Express the points in another frame and cut them into voxels anew."""
+        return join_clouds([transform_points(T_new_map, self._decoded(self._all()))], self.voxel_m)
+
+    def _all(self) -> Int64[np.ndarray, "B"]:
+        return np.arange(len(self.blocks))
 
     def _decoded(self, chosen: Int64[np.ndarray, "C"]) -> Float64[np.ndarray, "M 3"]:
         parts = [self._block(block) for block in chosen]
@@ -137,6 +144,12 @@ def code_voxels(voxels: Voxels, voxel_m: float, min_keyframes: int) -> VoxelClou
         keys=np.concatenate([np.zeros(0, np.uint8), *parts]),
         means=(level[order] @ (1, LEVELS, LEVELS**2)).astype(np.uint16),
     )
+
+
+def join_clouds(clouds: Iterable[np.ndarray], voxel_m: float) -> VoxelCloud:
+    """Keep every voxel that a cloud (all in one frame) has a point in."""
+    parts = [_voxels_of_scan(cloud, np.eye(4), voxel_m) for cloud in clouds]
+    return code_voxels(add_voxels([_no_voxels(), *parts]), voxel_m, 1)
 
 
 def _no_voxels() -> Voxels:
