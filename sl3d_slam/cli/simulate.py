@@ -28,6 +28,7 @@ def simulate(
 
     from sl3d_slam.simulation.drive import DIRECTIONS, plan_drive
     from sl3d_slam.simulation.roads import builtin_road, read_road
+    from sl3d_slam.simulation.sensor import sensor_named
     from sl3d_slam.simulation.town import build_town
     from sl3d_slam.simulation.write import Layout, refuse_existing, write_drive
 
@@ -35,6 +36,7 @@ def simulate(
     refuse_existing(layout)
     if direction not in DIRECTIONS:
         raise InputError(f"--direction {direction}: expected one of {', '.join(DIRECTIONS)}")
+    sensor_named(sensor)
     chosen = builtin_road(road) if trajectory is None else read_road(trajectory)
     drive = plan_drive(build_town(chosen, seed), sensor, day, direction, scans)
     columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())

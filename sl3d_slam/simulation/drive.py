@@ -83,9 +83,9 @@ def drive_path(
     if direction == "reverse":
         return _shift(_turned_round(out), -0.5 * LANE_M + aside)
     if direction == "half":
-        return _with_u_turn(_shift(out[: len(out) // 2], aside), aside)
+        return _with_u_turn(_shift(out[: len(out) // 2], aside))
     moved = _shift(out, aside)
-    return _with_u_turn(moved, aside) if returns else moved
+    return _with_u_turn(moved) if returns else moved
 
 
 def _turned_round(path: Float64[np.ndarray, "N 3"]) -> Float64[np.ndarray, "N 3"]:
@@ -104,18 +104,16 @@ def _shift(
     return np.column_stack([x, y, path[:, 2]])
 
 
-def _with_u_turn(out: Float64[np.ndarray, "N 3"], aside: float) -> Float64[np.ndarray, "K 3"]:
-    """Drive out, move to the right, turn left in a half circle and come back in the other lane."""
-    step = np.concatenate([[0.0], np.linalg.norm(np.diff(out[:, :2], axis=0), axis=1)])
-    to_go = np.sum(step) - np.cumsum(step)
-    blend = np.clip(1.0 - to_go / 15.0, 0.0, 1.0)
-    out = _shift(out, -LANE_M * blend * blend * (3.0 - 2.0 * blend))
+def _with_u_turn(centre: Float64[np.ndarray, "N 3"]) -> Float64[np.ndarray, "K 3"]:
+    """Move to the right lane, drive out, turn left in a half circle, come back in the other one."""
+    step = np.concatenate([[0.0], np.linalg.norm(np.diff(centre[:, :2], axis=0), axis=1)])
+    blend = np.clip(np.cumsum(step) / 20.0, 0.0, 1.0)
+    aside = LANE_M * blend * blend * (3.0 - 2.0 * blend)
+    out, back = _shift(centre, -aside), _turned_round(_shift(centre, aside))
     angle = np.linspace(0.0, np.pi, TURN_SCANS + 2)[1:-1]
-    x, y, yaw = out[-1]
-    centre = np.array([x - LANE_M * np.sin(yaw), y + LANE_M * np.cos(yaw)])
-    ring = centre + LANE_M * np.column_stack([np.sin(yaw + angle), -np.cos(yaw + angle)])
+    x, y, yaw = centre[-1]
+    ring = np.array([x, y]) + LANE_M * np.column_stack([np.sin(yaw + angle), -np.cos(yaw + angle)])
     turn = np.column_stack([ring, yaw + angle])
-    back = _turned_round(_shift(out, LANE_M * (1.0 + blend * blend * (3.0 - 2.0 * blend))))
     return np.vstack([out, turn, back])
 
 

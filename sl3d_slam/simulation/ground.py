@@ -97,7 +97,7 @@ def build_ground(
 
 
 def _road_distance(
-    samples: Float64[np.ndarray, "N 4"], nodes: Positions
+    samples: Float64[np.ndarray, "N 4"], nodes: Float64[np.ndarray, "K 2"]
 ) -> tuple[Float64[np.ndarray, "K"], Float64[np.ndarray, "K"]]:
     """Return the distance to the nearest road's edge and the pavement there."""
     away, nearest = cKDTree(samples[:, :2]).query(nodes, k=3)

@@ -50,14 +50,14 @@ def read_road(path: Path) -> Road:
         where the file cannot be read as such, or moves less than 20 m.
     """
     try:
-        rows = np.loadtxt(path, ndmin=2)
-    except (OSError, ValueError):
-        raise InputError(f"{path}: expected a KITTI trajectory of 12 numbers a row") from None
-    if rows.shape[1] != 12 or not np.isfinite(rows).all():
-        raise InputError(
-            f"{path}: expected a KITTI trajectory of 12 finite numbers a row, "
-            f"found {rows.shape[1]} a row"
-        )
+        lines = path.read_text(encoding="utf-8").split("\n")
+        rows = np.array([line.split() for line in lines if line.strip()], float)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read as a trajectory ({error.strerror})") from None
+    except ValueError:
+        rows = np.zeros((0, 0))
+    if rows.ndim != 2 or rows.shape[1] != 12 or not np.isfinite(rows).all():
+        raise InputError(f"{path}: expected a KITTI trajectory of 12 finite numbers a row")
     T_camera0_camera = np.tile(np.eye(4), (len(rows), 1, 1))
     T_camera0_camera[:, :3] = rows.reshape(-1, 3, 4)
     T_lidar0_lidar = invert(TR_CAMERA_LIDAR) @ T_camera0_camera @ TR_CAMERA_LIDAR

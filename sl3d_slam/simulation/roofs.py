@@ -37,12 +37,12 @@ def pitched_roof(builder: SceneBuilder, lot: Lot, eaves: float, rng: np.random.G
     hip = 0.0 if rng.random() < 0.7 else min(0.45 * width, 0.5 * depth)
     taper = 2 * hip / width
     ridge = (lot.point(hip, middle, top), lot.point(width - hip, middle, top))
-    front = (lot.point(0, -over, low), lot.point(width, -over, low))
-    back = (lot.point(width, depth + over, low), lot.point(0, depth + over, low))
+    front = (lot.point(0.0, -over, low), lot.point(width, -over, low))
+    back = (lot.point(width, depth + over, low), lot.point(0.0, depth + over, low))
     _slope(builder, front, ridge, taper)
     _slope(builder, back, (ridge[1], ridge[0]), taper)
-    ends = [(lot.point(0, depth, eaves), lot.point(0, 0, eaves), hip)]
-    ends.append((lot.point(width, 0, eaves), lot.point(width, depth, eaves), -hip))
+    ends = [(lot.point(0.0, depth, eaves), lot.point(0.0, 0.0, eaves), hip)]
+    ends.append((lot.point(width, 0.0, eaves), lot.point(width, depth, eaves), -hip))
     for left, right, lean in ends:
         rise = (top - eaves) * UP + lean * np.append(lot.along, 0.0)
         edges = [NO_LINE] * 4
@@ -60,4 +60,4 @@ def pitched_roof(builder: SceneBuilder, lot: Lot, eaves: float, rng: np.random.G
 def flat_roof(builder: SceneBuilder, lot: Lot, z: float, material: Material) -> None:
     """Add a flat roof just below the rim of the walls."""
     along, inward = lot.width_m * lot.along, lot.depth_m * lot.inward
-    builder.patch((lot.point(0, 0, z), np.append(along, 0.0), np.append(inward, 0.0)), material)
+    builder.patch((lot.point(0.0, 0.0, z), np.append(along, 0.0), np.append(inward, 0.0)), material)

@@ -9,8 +9,9 @@ from sl3d_slam.geometry.se3 import Points, Transform
 from sl3d_slam.simulation.cells import cells_of
 from sl3d_slam.simulation.ground import Ground
 from sl3d_slam.simulation.primitives import NO_LINE, NUM_PARAMETERS, Primitives, bounds, joined
-from sl3d_slam.simulation.raycast import Beams, SceneArrays, cast
+from sl3d_slam.simulation.raycast import Beams, cast
 from sl3d_slam.simulation.sensor import Sensor
+from sl3d_slam.simulation.traverse import SceneArrays
 
 CELL_M = 4.0
 MAX_MOVING = 4096
