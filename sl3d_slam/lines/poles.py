@@ -13,7 +13,7 @@ from sl3d_slam.lines.scene import Scene, vertical_gap_m
 from sl3d_slam.lines.structure import MIN_CORE_BINS
 from sl3d_slam.lines.view import hidden_share
 
-MAX_RING_SHARE = 0.34
+MAX_RING_SHARE = 0.5
 JOIN_RADIUS_M = 0.35
 MAX_RADIUS_M = 0.45
 RANGE_NOISE_M = 0.02
@@ -117,7 +117,8 @@ def _axis_behind(
     radius = float(np.sqrt(max(3.0 * (across[inside].var() - RANGE_NOISE_M**2), 0.0)))
     deep = depth[inside]
     distance = np.abs(deep - np.median(deep))
-    front_depth = float(deep[distance <= GATE * np.median(distance) + RANGE_NOISE_M].mean())
+    gate_m = max(GATE * float(np.median(distance)), radius) + RANGE_NOISE_M
+    front_depth = float(deep[distance <= gate_m].mean())
     behind = front_depth + 0.25 * np.pi * radius
     return front + np.array([*(sight * behind + aside * middle), 0.0]), radius
 
