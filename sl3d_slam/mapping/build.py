@@ -14,6 +14,7 @@ from sl3d_slam.mapping.merge import group_lines, standing
 from sl3d_slam.types import LineSet
 
 MAX_REGROUPINGS = 5
+IN_VIEW_M = 20.0
 
 
 class Observations(NamedTuple):
@@ -69,16 +70,17 @@ def trusted(
 ) -> Bool[np.ndarray, "L"]:
     """Tell which landmarks were seen often enough, given how often they could have been.
 
-    A landmark's chances are the keyframes no farther from it than the farthest that saw it. It
-    stays when it was seen ``min_support`` times, or at every chance where there were fewer, and at
-    ``min_seen_share`` of its chances. What moved was in view for longer than it stood where it
-    was seen; a post passed once and only glimpsed at the end of the drive had no more chances.
+    A landmark's chances are the keyframes no farther from it than the farthest that saw it, and
+    those within 20 m in any case. It stays when it was seen ``min_support`` times, or at every
+    chance where there were fewer, and at ``min_seen_share`` of its chances. What moved was in view
+    for longer than it stood where it was seen; a post glimpsed once where the drive ends had no
+    more chances.
     """
     if len(lines) == 0:
         return np.zeros(0, np.bool_)
     place = midpoints(lines.endpoints)[:, :2]
     between = place[sightings.landmarks] - positions[sightings.keyframes, :2]
-    farthest_m = np.zeros(len(lines))
+    farthest_m = np.full(len(lines), IN_VIEW_M)
     np.maximum.at(farthest_m, sightings.landmarks, np.hypot(between[:, 0], between[:, 1]))
     tree = cKDTree(positions[:, :2])
     chances = tree.query_ball_point(place, farthest_m + 1e-6, return_length=True)

@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from sl3d_slam.mapping.build import Sightings, by_keyframe
 from sl3d_slam.mapping.line_map import LineMap, MapOrigin
+from sl3d_slam.mapping.quantise import BITS, STEPS, quantise, restore
 from sl3d_slam.mapping.varint import pack, pack_table, unpack, unpack_table
 from sl3d_slam.mapping.voxels import BLOCK_VOXELS, LEVELS, VoxelCloud
 from sl3d_slam.types import LineKind, LineSet
@@ -21,7 +22,7 @@ LAYOUT = {
     "num_points": ("uint8", 1),
     "kinds": ("uint8", 1),
     "scores": ("uint8", 1),
-    "descriptors": ("int8", 2),
+    "descriptors": ("uint8", 2),
     "descriptor_scales": ("float32", 1),
     "poses": ("uint8", 1),
     "up": ("uint8", 1),
@@ -37,7 +38,8 @@ CODING = {
     "endpoints": "table of x y z of one end, then steps to the other, in mm",
     "num_points": "table of one column",
     "scores": "255 is 1",
-    "descriptors": "times descriptor_scales, then made unit length",
+    "descriptors": f"{BITS} bits an entry, low bit first, from the high bit of each byte; less "
+    f"{STEPS}, times descriptor_scales, then made unit length",
     "poses": "table of x y z in mm, rotation vector in 1e-5 rad",
     "up": "table of x y z in 1e-4",
     "support": "list: how many keyframes saw each landmark",
@@ -58,7 +60,7 @@ CLOUD_CODING = {
 def map_tensors(line_map: LineMap) -> Tensors:
     """Return the arrays of the file, all integers but the scales of the descriptors."""
     lines = line_map.lines
-    descriptors, scales = _quantised(lines.descriptors)
+    descriptors, scales = quantise(lines.descriptors)
     start, end = _steps(lines.endpoints[:, 0], METRE), _steps(lines.endpoints[:, 1], METRE)
     position = _steps(line_map.T_map_keyframe[:, :3, 3], METRE)
     turn = Rotation.from_matrix(line_map.T_map_keyframe[:, :3, :3]).as_rotvec()
@@ -105,15 +107,6 @@ def _steps(values: np.ndarray, per_unit: int) -> np.ndarray:
     return np.rint(values * per_unit).astype(np.int64)
 
 
-def _quantised(descriptors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return int8 steps and the step of each dimension, so that the largest entry is 127."""
-    if not np.isfinite(descriptors).all():
-        raise ValueError("descriptors must be finite")
-    largest = np.abs(descriptors).max(axis=0, initial=0.0)
-    scales = np.where(largest > 0, largest / 127, 1.0).astype(np.float32)
-    return np.clip(np.rint(descriptors / scales), -127, 127).astype(np.int8), scales
-
-
 def _first_and_gaps(line_map: LineMap) -> Int64[np.ndarray, "S"]:
     keyframe = np.repeat(np.arange(len(line_map.keyframe_up)), np.diff(line_map.offsets))
     order = np.lexsort((keyframe, line_map.indices))
@@ -149,7 +142,7 @@ def _lines_of(tensors: Tensors) -> LineSet:
     table = unpack_table(tensors["endpoints"], 6)
     start = table[:, :3] / METRE
     endpoints = np.stack([start, start + table[:, 3:] / METRE], axis=1)
-    count, dimension = tensors["descriptors"].shape
+    count = len(tensors["descriptors"])
     num_points = unpack_table(tensors["num_points"], 1)[:, 0]
     columns = (table, num_points, tensors["kinds"], tensors["scores"])
     _require(all(len(column) == count for column in columns), "a row a landmark in each array")
@@ -157,15 +150,10 @@ def _lines_of(tensors: Tensors) -> LineSet:
     _require(bool(np.all(tensors["kinds"] < len(LineKind))), f"kinds below {len(LineKind)}")
     _require(bool(np.all(num_points >= 0)), "numbers of points of at least 0")
     scales = tensors["descriptor_scales"]
-    _require(
-        len(scales) == dimension and bool(np.all((scales > 0) & (scales < 1e6))),
-        "a positive scale for each entry of a descriptor",
-    )
-    descriptors = tensors["descriptors"] * scales
-    norm = np.linalg.norm(descriptors, axis=1, keepdims=True)
+    _require(bool(np.all((scales > 1e-30) & (scales < 1e6))), "positive scales of descriptors")
     return LineSet(
         endpoints=endpoints,
-        descriptors=(descriptors / np.maximum(norm, 1e-12)).astype(np.float32),
+        descriptors=restore(tensors["descriptors"], scales),
         num_points=num_points,
         kinds=tensors["kinds"],
         scores=(tensors["scores"] / np.float32(255)).astype(np.float32),
