@@ -5,10 +5,9 @@ import sys
 
 import pytest
 
-PLACES = ("sl3d_slam", "tests", "examples")
 CHECKS = {
-    "layout": ("-m", "ruff", "format", "--check", *PLACES),
-    "lint": ("-m", "ruff", "check", *PLACES),
+    "layout": ("-m", "ruff", "format", "--check", "."),
+    "lint": ("-m", "ruff", "check", "."),
     "types": ("-m", "mypy", "--strict", "sl3d_slam"),
     "imports": ("-c", "from importlinter.cli import lint_imports_command as run; run()"),
 }
