@@ -1,4 +1,4 @@
-"""``sl3d info``: what is in a dataset, or what a run found."""
+"""``sl3d info``: what is in a dataset or a line map, or what a run found."""
 
 from json import dumps, loads
 from pathlib import Path
@@ -6,20 +6,27 @@ from typing import Annotated, Any
 
 import typer
 
+from sl3d_slam.cli.map_facts import show_map
 from sl3d_slam.cli.options import DatasetOption, JsonOption, SequenceOption, TopicOption
 from sl3d_slam.errors import InputError
 
 METRICS = "metrics.json"
+MAP_SUFFIX = ".sl3d"
 
 
 def info(
-    data: Annotated[Path, typer.Argument(metavar="DATA|DIR", help="Scans, or a run's folder.")],
+    data: Annotated[
+        Path, typer.Argument(metavar="DATA|DIR|MAP", help="Scans, a run's folder, or a map.")
+    ],
     dataset: DatasetOption = "auto",
     sequence: SequenceOption = None,
     topic: TopicOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Tell what a folder of scans holds, or show the figures of a run again."""
+    """Tell what a folder of scans or a map.sl3d holds, or show the figures of a run again."""
+    if data.suffix == MAP_SUFFIX:
+        show_map(data, json)
+        return
     if (data / METRICS).is_file():
         _show_run(data, json)
         return

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
 from sl3d_slam.config import MapSettings
 from sl3d_slam.errors import InputError
@@ -17,7 +16,7 @@ from sl3d_slam.mapping.build import (
     unique_sightings,
 )
 from sl3d_slam.mapping.landmarks import mean_lines
-from sl3d_slam.mapping.line_map import LineMap
+from sl3d_slam.mapping.line_map import LineMap, landmark_up, seeing
 from sl3d_slam.mapping.voxels import VoxelCloud, join_clouds
 
 
@@ -34,10 +33,10 @@ def join_maps(first: LineMap, second: LineMap, settings: MapSettings) -> LineMap
         )
     lines = join_lines([first.lines, second.lines])
     weights = np.concatenate([first.support, second.support]).astype(np.float64)
-    up = np.concatenate([_landmark_up(first), _landmark_up(second)])
+    up = np.concatenate([landmark_up(first), landmark_up(second)])
     groups = group_observations(Observations(lines, up, weights), settings)
     poses = np.concatenate([first.T_map_keyframe, second.T_map_keyframe])
-    keyframes = np.concatenate([_seeing(first), _seeing(second) + len(first.keyframe_up)])
+    keyframes = np.concatenate([seeing(first), seeing(second) + len(first.keyframe_up)])
     rows = np.concatenate([first.indices, second.indices + len(first)])
     sightings = unique_sightings(groups[rows], keyframes)
     merged = mean_lines(lines, weights, groups)
@@ -47,19 +46,6 @@ def join_maps(first: LineMap, second: LineMap, settings: MapSettings) -> LineMap
     origin = replace(first.origin, simulated=first.simulated or second.simulated)
     up = np.concatenate([first.keyframe_up, second.keyframe_up])
     return LineMap(merged, poses, up, offsets, indices, _joined_cloud(first, second), origin)
-
-
-def _seeing(line_map: LineMap) -> Int64[np.ndarray, "S"]:
-    """Return the keyframe of each sighting."""
-    return np.repeat(np.arange(len(line_map.keyframe_up)), np.diff(line_map.offsets))
-
-
-def _landmark_up(line_map: LineMap) -> Float64[np.ndarray, "L 3"]:
-    """Return the way up, in the map frame, at the last keyframe that saw each landmark."""
-    up = np.einsum("kij,kj->ki", line_map.T_map_keyframe[:, :3, :3], line_map.keyframe_up)
-    result = np.zeros((len(line_map), 3))
-    result[line_map.indices] = up[_seeing(line_map)]
-    return result
 
 
 def _joined_cloud(first: LineMap, second: LineMap) -> VoxelCloud | None:

@@ -157,6 +157,12 @@ class LineMap:
 
         return join_maps(self, other.transformed(T_map_other), settings)
 
+    def to_bytes(self) -> bytes:
+        """Return the content of the map's file; the same map gives the same bytes."""
+        from sl3d_slam.mapping.file import to_bytes
+
+        return to_bytes(self)
+
     def save(self, path: Path | str) -> None:
         """Write the map as one file, whole or not at all.
 
@@ -165,9 +171,7 @@ class LineMap:
         OutputError
             naming the file and why it could not be written.
         """
-        from sl3d_slam.mapping.file import to_bytes
-
-        write_whole(Path(path), to_bytes(self))
+        write_whole(Path(path), self.to_bytes())
 
     @classmethod
     def load(cls, path: Path | str) -> "LineMap":
@@ -182,6 +186,19 @@ class LineMap:
         from sl3d_slam.mapping.file import read_map
 
         return read_map(Path(path))
+
+
+def seeing(line_map: LineMap) -> Int64[np.ndarray, "S"]:
+    """Return the keyframe of each sighting."""
+    return np.repeat(np.arange(len(line_map.keyframe_up)), np.diff(line_map.offsets))
+
+
+def landmark_up(line_map: LineMap) -> Float64[np.ndarray, "L 3"]:
+    """Return the way up, in the map frame, at the last keyframe that saw each landmark."""
+    up = np.einsum("kij,kj->ki", line_map.T_map_keyframe[:, :3, :3], line_map.keyframe_up)
+    result = np.zeros((len(line_map), 3))
+    result[line_map.indices] = up[seeing(line_map)]
+    return result
 
 
 def _check_counts(
