@@ -65,11 +65,11 @@ class MatchingSettings(Settings):
     distance_tolerance_m: float = Field(default=0.4, gt=0)
     angle_tolerance_deg: float = Field(default=6.0, gt=0)
     inlier_distance_m: float = Field(default=0.6, gt=0)
-    min_inliers: int = Field(default=3, ge=2)
+    min_inliers: int = Field(default=4, ge=2)
     max_hypotheses: int = Field(default=3000, ge=1)
     cloud_voxel_m: float = Field(default=0.5, gt=0)
-    min_overlap: float = Field(default=0.3, gt=0, le=1)
-    min_visibility: float = Field(default=0.85, gt=0, le=1)
+    min_overlap: float = Field(default=0.1, gt=0, le=1)
+    min_visibility: float = Field(default=0.92, gt=0, le=1)
     min_agreeing_points: int = Field(default=600, ge=1)
 
 

@@ -52,7 +52,7 @@ def _check_suffix(out: Path | None) -> None:
 
 
 def _write(out: Path, points_lidar: "np.ndarray", found: "LineSet", name: str) -> None:
-    from sl3d_slam.io.atomic import write_whole
+    from sl3d_slam.files import write_whole
     from sl3d_slam.io.json_files import write_json
 
     match out.suffix.lower():

@@ -11,6 +11,10 @@ import typer
 from sl3d_slam import __version__
 from sl3d_slam.cli.config import config
 from sl3d_slam.cli.errors import Verbs
+from sl3d_slam.cli.export import export
+from sl3d_slam.cli.info import info
+from sl3d_slam.cli.lines import lines
+from sl3d_slam.cli.map import map_
 from sl3d_slam.cli.simulate import simulate
 
 app = typer.Typer(
@@ -20,7 +24,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+app.command("map")(map_)
+app.command()(lines)
 app.command()(simulate)
+app.command()(info)
+app.command()(export)
 app.command()(config)
 
 
