@@ -18,7 +18,8 @@ from sl3d_slam.simulation.traffic import Traffic, build_traffic, moving_primitiv
 Direction = Literal["forward", "reverse", "half"]
 DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse", "half")
 LANE_M = 1.8
-TURN_SCANS = 18
+TURN_SCANS = 30
+BRAKING_M = 8.0
 AXLE_M, TRACK_M = 1.35, 0.8
 
 
@@ -109,12 +110,25 @@ def _with_u_turn(centre: Float64[np.ndarray, "N 3"]) -> Float64[np.ndarray, "K 3
     step = np.concatenate([[0.0], np.linalg.norm(np.diff(centre[:, :2], axis=0), axis=1)])
     blend = np.clip(np.cumsum(step) / 20.0, 0.0, 1.0)
     aside = LANE_M * blend * blend * (3.0 - 2.0 * blend)
+    centre, aside = _braked(centre), _braked(np.column_stack([centre, aside]))[:, 3]
     out, back = _shift(centre, -aside), _turned_round(_shift(centre, aside))
-    angle = np.linspace(0.0, np.pi, TURN_SCANS + 2)[1:-1]
+    part = np.linspace(0.0, 1.0, TURN_SCANS + 2)[1:-1]
+    angle = np.pi * part * part * (3.0 - 2.0 * part)
     x, y, yaw = centre[-1]
     ring = np.array([x, y]) + LANE_M * np.column_stack([np.sin(yaw + angle), -np.cos(yaw + angle)])
-    turn = np.column_stack([ring, yaw + angle])
-    return np.vstack([out, turn, back])
+    return np.vstack([out, np.column_stack([ring, yaw + angle]), back])
+
+
+def _braked(path: Float64[np.ndarray, "N K"]) -> Float64[np.ndarray, "M K"]:
+    """Slow down evenly over the last metres of a path; x and y are its first columns."""
+    steps = np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1)
+    travelled = np.concatenate([[0.0], np.cumsum(steps)])
+    begin = int(np.searchsorted(travelled, travelled[-1] - BRAKING_M))
+    braking = float(travelled[-1] - travelled[begin])
+    count = max(2, round(2.0 * braking / max(float(steps[begin - 1]), 0.1)))
+    distance = travelled[-1] - braking * (1.0 - np.arange(count) / count) ** 2
+    tail = [np.interp(distance, travelled, column) for column in path.T]
+    return np.vstack([path[:begin], np.column_stack(tail)])
 
 
 def _poses(
