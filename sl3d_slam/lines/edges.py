@@ -149,7 +149,7 @@ def _goes_on(
     offset, z = scene.points[near, :2] - place, scene.points[near, 2]
     ahead = offset @ outward
     aside = np.abs(offset[:, 0] * outward[1] - offset[:, 1] * outward[0])
-    beyond = (ahead > 0.1) & (ahead < CLEAR_BEYOND_M) & (aside < 0.5)
+    beyond = (ahead > 0.1) & (ahead < CLEAR_BEYOND_M) & (aside < 0.25)
     beyond &= (z > span[0]) & (z < span[1])
     levels = np.unique(np.floor((z[beyond] - span[0]) / SLICE_M))
     return bool(len(levels) > 0.34 * np.ceil((span[1] - span[0]) / SLICE_M))
