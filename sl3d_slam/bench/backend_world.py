@@ -100,10 +100,18 @@ def drifting_odometry(T_world_lidar: Poses, rng: np.random.Generator) -> Poses:
 
 
 def true_loops(T_world_lidar: Poses, count: int, rng: np.random.Generator) -> list[LoopConstraint]:
-    """Return up to ``count`` loops between poses of the same place, measured with noise."""
+    """Return up to ``count`` loops between poses of the same place, measured with noise.
+
+    Raises InputError where the drive never comes back to a place.
+    """
     pairs = cKDTree(T_world_lidar[:, :3, 3]).query_pairs(LOOP_RADIUS_M, output_type="ndarray")
     pairs = np.sort(pairs[np.abs(pairs[:, 0] - pairs[:, 1]) > MIN_GAP], axis=1)
     pairs = pairs[np.lexsort((pairs[:, 0], pairs[:, 1]))]
+    if len(pairs) == 0:
+        raise InputError(
+            f"the drive of {len(T_world_lidar)} poses never comes within {LOOP_RADIUS_M:g} m of a "
+            f"place it left {MIN_GAP} poses earlier, so it has no loops to judge a back end by"
+        )
     chosen = rng.choice(len(pairs), min(count, len(pairs)), replace=False)
     return [
         _measured(int(a), int(b), invert(T_world_lidar[a]) @ T_world_lidar[b], rng)

@@ -68,7 +68,7 @@ def optimise_all_scans(
     if len(T_odom_lidar) == 0:
         return FinalGraph(np.zeros((0, 4, 4)), [], [])
     odometry = rigid_transforms(T_odom_lidar, "the odometry")
-    edges = _odometry_edges(odometry, settings)
+    edges = odometry_edges(odometry, settings)
     edges += [_loop_edge(loop, scan_of_keyframe) for loop in loops]
     priors = [anchor(0, odometry[0])]
     anchors = {_scan_of(key, scan_of_keyframe): pose for key, pose in estimates.items()}
@@ -91,7 +91,8 @@ def marginal_covariances(
     return np.array(found).reshape(-1, 6, 6)
 
 
-def _odometry_edges(T_odom_lidar: Transforms, settings: GraphSettings) -> list[Edge]:
+def odometry_edges(T_odom_lidar: Transforms, settings: GraphSettings) -> list[Edge]:
+    """Return the step from each scan to the next with the information of the settings."""
     steps = inverts(T_odom_lidar[:-1]) @ T_odom_lidar[1:]
     return [
         Edge(k, k + 1, step, np.linalg.inv(step_covariance(step, settings)))

@@ -1,4 +1,3 @@
-import gtsam
 import numpy as np
 import pytest
 
@@ -6,8 +5,10 @@ from sl3d_slam.bench.backend_world import built_in_drive, make_world
 from sl3d_slam.config import GraphSettings
 from sl3d_slam.graph.chain import OdometryChain
 from sl3d_slam.graph.consistency import stack_loops
-from sl3d_slam.graph.noise import covariance_to_gtsam, information_to_gtsam
+from sl3d_slam.graph.final import odometry_edges
 from sl3d_slam.graph.outliers import gnc_tls
+from sl3d_slam.graph.peers import solve_with_gnc
+from sl3d_slam.graph.solve import Edge
 
 TRUTH = built_in_drive(2000)[::5]  # 400 poses 5 m apart
 
@@ -41,35 +42,18 @@ def test_gnc_drops_wrong_loops_that_it_was_told_to_believe(contest):
     np.testing.assert_array_equal(result.inliers, is_true)
 
 
-def test_gnc_agrees_with_gtsam_s_own_where_that_succeeds():
-    chain, loops, is_true = columns(make_world(TRUTH[:250], 30, 0.1, "random", seed=3))
-    graph, values, known = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
-    ends = np.unique(np.concatenate([loops.targets, loops.queries]))
-    for position in ends.tolist():
-        values.insert(position, gtsam.Pose3(chain.pose(position)))
-    graph.add(
-        gtsam.PriorFactorPose3(
-            int(ends[0]), values.atPose3(int(ends[0])), gtsam.noiseModel.Isotropic.Sigma(6, 1e-4)
-        )
-    )
-    for a, b, covariance in zip(
-        ends[:-1].tolist(), ends[1:].tolist(), chain.covariances(ends[:-1], ends[1:]), strict=True
-    ):
-        step = values.atPose3(a).between(values.atPose3(b))
-        graph.add(gtsam.BetweenFactorPose3(a, b, step, covariance_to_gtsam(covariance)))
-    known = list(range(graph.size()))
-    for k in range(len(is_true)):
-        noise = information_to_gtsam(np.linalg.inv(loops.covariances[k]))
-        ends_k = int(loops.targets[k]), int(loops.queries[k])
-        graph.add(gtsam.BetweenFactorPose3(*ends_k, gtsam.Pose3(loops.T_target_query[k]), noise))
-    parameters = gtsam.GncLMParams(gtsam.LevenbergMarquardtParams())
-    parameters.setKnownInliers(known)
-    optimizer = gtsam.GncLMOptimizer(graph, values, parameters)
-    optimizer.setInlierCostThresholdsAtProbability(0.999)
-    optimizer.optimize()
-    theirs = np.array(optimizer.getWeights())[len(known) :] > 0.5
+def test_gnc_over_the_loop_ends_agrees_with_gtsam_s_over_all_poses():
+    world = make_world(TRUTH[:250], 30, 0.1, "random", seed=3)
+    chain, loops, is_true = columns(world)
+    edges = [
+        Edge(loop.target_id, loop.query_id, loop.T_target_query, loop.information)
+        for loop in world.loops
+    ]
+    odometry = odometry_edges(world.T_odom_lidar, GraphSettings())
+    _, theirs = solve_with_gnc(world.T_odom_lidar, odometry, edges, 1e-3)
     ours = gnc_tls(chain, loops, np.ones(len(is_true), dtype=bool), 1e-3)
-    np.testing.assert_array_equal(ours.inliers, theirs)
+    np.testing.assert_array_equal(ours.inliers, theirs > 0.5)
+    np.testing.assert_array_equal(ours.inliers, is_true)
 
 
 def test_honest_loops_are_kept_at_the_stated_rate():

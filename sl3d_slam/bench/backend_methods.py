@@ -1,0 +1,91 @@
+"""The back ends that ``bench backend`` compares, each over the same odometry and loops."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from jaxtyping import Bool
+
+from sl3d_slam.bench.backend_world import BackendWorld, Poses
+from sl3d_slam.config import GraphSettings
+from sl3d_slam.graph.final import odometry_edges, optimise_all_scans
+from sl3d_slam.graph.peers import Loss, solve_with_gnc, solve_with_loss
+from sl3d_slam.graph.pose_graph import PoseGraph
+from sl3d_slam.graph.solve import Edge
+
+Kept = Bool[np.ndarray, "M"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BackendAnswer:
+    """Poses of every scan and which loops the method kept (None: it keeps all, down-weighted)."""
+
+    T_world_lidar: Poses
+    kept: Kept | None
+
+
+def oracle(world: BackendWorld, settings: GraphSettings) -> BackendAnswer:
+    """Optimise with the true loops alone: the best that any method could do."""
+    kept = np.array(world.is_true, dtype=bool)
+    return BackendAnswer(_final(world, kept, settings), kept)
+
+
+def ours(world: BackendWorld, settings: GraphSettings) -> BackendAnswer:
+    """Run the product's graph as a drive would: scan by scan, each loop when it is met."""
+    graph = PoseGraph(settings)
+    offered = 0
+    for scan, pose in enumerate(world.T_odom_lidar):
+        graph.add_keyframe(scan, pose, 1)
+        while offered < len(world.loops) and world.loops[offered].query_id == scan:
+            graph.add_loop(world.loops[offered])
+            offered += 1
+    graph.settle()
+    kept = np.array([verdict.status == "accepted" for verdict in graph.verdicts], dtype=bool)
+    same = {scan: scan for scan in range(len(world.T_odom_lidar))}
+    final = optimise_all_scans(
+        world.T_odom_lidar, same, graph.estimates(), graph.accepted_loops, settings
+    )
+    return BackendAnswer(final.T_world_lidar, kept)
+
+
+def with_loss(world: BackendWorld, settings: GraphSettings, loss: Loss) -> BackendAnswer:
+    """Keep every loop, under a loss function, over all poses at once."""
+    odometry = odometry_edges(world.T_odom_lidar, settings)
+    poses = solve_with_loss(world.T_odom_lidar, odometry, _loop_edges(world), loss)
+    return BackendAnswer(poses, None)
+
+
+def gnc_all_poses(world: BackendWorld, settings: GraphSettings) -> BackendAnswer:
+    """Run gtsam's GNC-TLS over all poses."""
+    poses, weights = solve_with_gnc(
+        world.T_odom_lidar,
+        odometry_edges(world.T_odom_lidar, settings),
+        _loop_edges(world),
+        settings.gnc_outlier_probability,
+    )
+    return BackendAnswer(poses, weights > 0.5)
+
+
+METHODS: dict[str, Callable[[BackendWorld, GraphSettings], BackendAnswer]] = {
+    "oracle": oracle,
+    "ours": ours,
+    "LM": partial(with_loss, loss="gaussian"),
+    "Huber": partial(with_loss, loss="huber"),
+    "Cauchy": partial(with_loss, loss="cauchy"),
+    "DCS": partial(with_loss, loss="dcs"),
+    "GNC, all poses": gnc_all_poses,
+}
+
+
+def _final(world: BackendWorld, kept: Kept, settings: GraphSettings) -> Poses:
+    loops = [world.loops[k] for k in np.flatnonzero(kept)]
+    same = {scan: scan for scan in range(len(world.T_odom_lidar))}
+    return optimise_all_scans(world.T_odom_lidar, same, {}, loops, settings).T_world_lidar
+
+
+def _loop_edges(world: BackendWorld) -> list[Edge]:
+    return [
+        Edge(loop.target_id, loop.query_id, loop.T_target_query, loop.information)
+        for loop in world.loops
+    ]
