@@ -43,13 +43,15 @@ def group_observations(observations: Observations, settings: MapSettings) -> Int
     lines, weights = observations.lines, observations.weights
     upright = standing(lines.endpoints, observations.up)
     groups = group_lines(lines.endpoints, weights, upright, settings)
+    if len(groups) == 0:
+        return groups
     for _ in range(MAX_REGROUPINGS):
         total = np.bincount(groups, weights=weights)
         mean = mean_lines(lines, weights, groups)
         mostly_upright = np.bincount(groups, weights=weights * upright) > total / 2
         merged = group_lines(mean.endpoints, total, mostly_upright, settings)
         groups = merged[groups]
-        if len(groups) == 0 or merged.max() + 1 == len(mean):
+        if merged.max() + 1 == len(mean):
             break
     return groups
 
@@ -100,7 +102,7 @@ def keep_landmarks(
 
 def by_keyframe(
     sightings: Sightings, count: int
-) -> tuple[Int64[np.ndarray, "K+1"], Int64[np.ndarray, "S"]]:
+) -> tuple[Int64[np.ndarray, "O"], Int64[np.ndarray, "S"]]:
     """Return sightings as offsets by keyframe and ascending landmarks."""
     order = np.lexsort((sightings.landmarks, sightings.keyframes))
     offsets = np.searchsorted(sightings.keyframes[order], np.arange(count + 1))

@@ -42,7 +42,7 @@ def to_bytes(line_map: LineMap) -> bytes:
         "simulated": line_map.origin.simulated,
         "config": line_map.origin.config,
     }
-    header["checksum"] = _checksum(header, tensors)
+    header["checksum"] = checksum(header, tensors)
     return save(tensors, {KEY: json.dumps(header, sort_keys=True)})
 
 
@@ -55,7 +55,7 @@ def read_map(path: Path) -> LineMap:
         naming the file and what was expected.
     """
     header, tensors = _read_container(path)
-    if header.pop("checksum", None) != _checksum(header, tensors):
+    if header.pop("checksum", None) != checksum(header, tensors):
         raise InputError(f"{path}: is damaged, its checksum does not fit; {EXPECTED}")
     try:
         voxel_m, origin = _facts(header)
@@ -110,7 +110,7 @@ def _facts(header: dict[str, Any]) -> tuple[float | None, MapOrigin]:
     return float(voxel_m), origin
 
 
-def _checksum(header: dict[str, Any], tensors: Tensors) -> str:
+def checksum(header: dict[str, Any], tensors: Tensors) -> str:
     """Return BLAKE2b over the header's other entries and every array with its name and form."""
     total = hashlib.blake2b(digest_size=16)
     total.update(json.dumps(header, sort_keys=True).encode())

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from sl3d_slam.geometry.segments import Segments, directions, lengths_m, midpoints
+from sl3d_slam.geometry.segments import directions, lengths_m, midpoints
 from sl3d_slam.types import LineKind, LineSet
 
 ROBUST_STEPS = 5
@@ -55,7 +55,7 @@ def _sum(values: np.ndarray, groups: Int64[np.ndarray, "N"], count: int) -> np.n
 
 
 def _mean_directions(
-    endpoints: Segments,
+    endpoints: Float64[np.ndarray, "N 2 3"],
     weights: Float64[np.ndarray, "N"],
     groups: Int64[np.ndarray, "N"],
     count: int,
@@ -71,7 +71,7 @@ def _mean_directions(
 
 
 def _robust_origins(
-    endpoints: Segments,
+    endpoints: Float64[np.ndarray, "N 2 3"],
     axis: Float64[np.ndarray, "L 3"],
     weights: Float64[np.ndarray, "N"],
     groups: Int64[np.ndarray, "N"],

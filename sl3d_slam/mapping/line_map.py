@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from sl3d_slam.config import MapSettings
-from sl3d_slam.errors import InputError
+from sl3d_slam.errors import InputError, OutputError
 from sl3d_slam.files import write_whole
 from sl3d_slam.geometry.se3 import Transform
 from sl3d_slam.mapping.build import (
@@ -59,7 +59,7 @@ class LineMap:
     lines: LineSet
     T_map_keyframe: Float64[np.ndarray, "K 4 4"]
     keyframe_up: Float64[np.ndarray, "K 3"]
-    offsets: Int64[np.ndarray, "K+1"]
+    offsets: Int64[np.ndarray, "O"]
     indices: Int64[np.ndarray, "S"]
     cloud: VoxelCloud | None = None
     origin: MapOrigin = MapOrigin()
@@ -158,7 +158,13 @@ class LineMap:
         return join_maps(self, other.transformed(T_map_other), settings)
 
     def to_bytes(self) -> bytes:
-        """Return the content of the map's file; the same map gives the same bytes."""
+        """Return the content of the map's file; the same map gives the same bytes.
+
+        Raises
+        ------
+        ValueError
+            where a coordinate is not finite, or no keyframe saw a landmark.
+        """
         from sl3d_slam.mapping.file import to_bytes
 
         return to_bytes(self)
@@ -169,9 +175,13 @@ class LineMap:
         Raises
         ------
         OutputError
-            naming the file and why it could not be written.
+            naming the file and why it could not be written, NaN poses included.
         """
-        write_whole(Path(path), self.to_bytes())
+        try:
+            content = self.to_bytes()
+        except ValueError as error:
+            raise OutputError(f"{path}: cannot be written because {error}") from None
+        write_whole(Path(path), content)
 
     @classmethod
     def load(cls, path: Path | str) -> "LineMap":

@@ -40,7 +40,7 @@ def restore(
     place = (1 << np.arange(BITS)).astype(np.uint8)
     for row in range(0, len(packed), ROWS):
         bits = np.unpackbits(packed[row : row + ROWS], axis=1, count=BITS * len(scales))
-        codes = bits.reshape(-1, len(scales), BITS) @ place
+        codes = bits.reshape(len(bits), len(scales), BITS) @ place
         result[row : row + ROWS] = (codes.astype(np.float32) - STEPS) * scales
     norm = np.linalg.norm(result, axis=1, keepdims=True)
     return result / np.maximum(norm, np.float32(1e-12))

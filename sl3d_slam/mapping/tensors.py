@@ -60,6 +60,8 @@ CLOUD_CODING = {
 def map_tensors(line_map: LineMap) -> Tensors:
     """Return the arrays of the file, all integers but the scales of the descriptors."""
     lines = line_map.lines
+    if not line_map.support.all():
+        raise ValueError("each landmark needs a keyframe that saw it")
     descriptors, scales = quantise(lines.descriptors)
     start, end = _steps(lines.endpoints[:, 0], METRE), _steps(lines.endpoints[:, 1], METRE)
     position = _steps(line_map.T_map_keyframe[:, :3, 3], METRE)

@@ -48,8 +48,8 @@ class VoxelCloud:
 
     voxel_m: float
     blocks: Int64[np.ndarray, "B 3"]
-    starts: Int64[np.ndarray, "B+1"]
-    key_starts: Int64[np.ndarray, "B+1"]
+    starts: Int64[np.ndarray, "O"]
+    key_starts: Int64[np.ndarray, "O"]
     keys: UInt8[np.ndarray, "S"]
     means: UInt16[np.ndarray, "V"]
 
@@ -80,7 +80,7 @@ class VoxelCloud:
         return np.arange(len(self.blocks))
 
     def _decoded(self, chosen: Int64[np.ndarray, "C"]) -> Float64[np.ndarray, "M 3"]:
-        parts = [self._block(block) for block in chosen]
+        parts = [self._block(block) for block in chosen.tolist()]
         return np.concatenate(parts) if parts else np.zeros((0, 3))
 
     def _block(self, block: int) -> Float64[np.ndarray, "M 3"]:
