@@ -9,6 +9,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from sl3d_slam.geometry.se3 import Points
+from sl3d_slam.lines.fit import fit_upright
 from sl3d_slam.lines.scene import Scene, vertical_gap_m
 from sl3d_slam.lines.structure import MIN_CORE_BINS
 from sl3d_slam.lines.view import hidden_share
@@ -17,7 +18,6 @@ MAX_RING_SHARE = 0.5
 JOIN_RADIUS_M = 0.35
 MAX_RADIUS_M = 0.45
 RANGE_NOISE_M = 0.02
-TILT_PRIOR_RAD = 0.05
 GATE = 2.6
 
 
@@ -68,30 +68,11 @@ def _fit_pole(scene: Scene, voxels: np.ndarray, min_length_m: float) -> Upright 
     returns = scene.returns_of(voxels)
     if len(returns) < 5:
         return None
-    front, slope = fit_upright(returns)
+    front, slope = fit_upright(np.ascontiguousarray(returns))
     axis, radius = _axis_behind(front, slope, returns)
     if radius > MAX_RADIUS_M:
         return None
     return _judge(scene, voxels, (axis, slope, radius, len(returns)), min_length_m)
-
-
-def fit_upright(
-    points: Float64[np.ndarray, "N 3"],
-) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "2"]]:
-    """Fit ``xy = base + slope (z - base_z)`` robustly, leaning towards the vertical.
-
-    Returns the base point at the mean height and the slope.
-    """
-    weights = np.ones(len(points))
-    stiffness = (0.1 / TILT_PRIOR_RAD) ** 2
-    for scale_m in (0.3, 0.15, 0.1, 0.1):
-        base = weights @ points / weights.sum()
-        rise = points[:, 2] - base[2]
-        flat = points[:, :2] - base[:2]
-        slope = (weights * rise) @ flat / (weights @ rise**2 + stiffness)
-        squared = ((flat - slope * rise[:, None]) ** 2).sum(axis=1)
-        weights = 1.0 / (1.0 + squared / scale_m**2) ** 2
-    return base, slope
 
 
 def _axis_behind(

@@ -81,8 +81,10 @@ def make_scene(points_lidar: Points, settings: LineSettings) -> Scene:
     R_level_lidar = rotation_between(up, UP)
     heights = heights_above_ground(means, up)
     kept = np.flatnonzero(heights > CLEARANCE_M)
-    level = np.ascontiguousarray(means[kept] @ R_level_lidar.T)
-    index = cell_index(level, CELL_M, settings.max_range_m)
+    level = means[kept] @ R_level_lidar.T
+    order, cell_start = cell_index(level, CELL_M, settings.max_range_m)
+    kept, level = kept[order], np.ascontiguousarray(level[order])
+    index = (np.arange(len(kept)), cell_start)
     slab = 0.5 + 0.015 * np.linalg.norm(level, axis=1)
     return Scene(
         R_level_lidar=R_level_lidar,
