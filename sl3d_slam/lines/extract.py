@@ -13,7 +13,14 @@ MIN_POINTS = 50
 
 
 class LineExtractor:
-    """Finds standing poles and building edges in one scan, deterministically."""
+    """Finds standing poles and building edges in one scan, from geometry alone.
+
+    Deterministic, and tied to no sensor: only the coordinates count, not their order. Poles, posts
+    and trunks are narrow columns with free space around (LineKind.POLE; the line is the axis
+    behind the visible front). Standing edges are where two walls meet or one truly ends
+    (LineKind.VERTICAL_EDGE); ends in the shadow of something nearer are left out. "Standing" is
+    meant against the ground around the sensor, which may be tilted by up to 25 degrees.
+    """
 
     def __init__(self, settings: LineSettings = LineSettings()) -> None:  # noqa: B008  (frozen)
         self._settings = settings
@@ -30,7 +37,18 @@ class LineExtractor:
         )
 
     def extract(self, points_lidar: np.ndarray) -> LineSet:
-        """Return the lines of a scan (N, 3) in metres, expressed in the lidar frame."""
+        """Return the lines of a scan (N, 3) in metres, in the lidar frame, best score first.
+
+        Descriptors (L, 28) hold the line's height above ground, thickness and kind and what stands
+        around it, see :func:`sl3d_slam.lines.describe.describe_uprights`. A scan without structure
+        gives an empty set. A sweep of a moving sensor should be deskewed before: at 10 m/s lines
+        of raw sweeps disagree by twice as much.
+
+        Raises
+        ------
+        InputError
+            where the array is no (N, 3) of finite floats or has fewer than 50 points.
+        """
         from sl3d_slam.lines.describe import describe_uprights
         from sl3d_slam.lines.edges import find_edges
         from sl3d_slam.lines.poles import find_poles

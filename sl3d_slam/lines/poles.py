@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from sl3d_slam.geometry.se3 import Points
-from sl3d_slam.lines.fit import fit_upright
+from sl3d_slam.lines.fit import axis_behind, fit_upright
 from sl3d_slam.lines.scene import Scene, vertical_gap_m
 from sl3d_slam.lines.structure import MIN_CORE_BINS
 from sl3d_slam.lines.view import hidden_share
@@ -17,8 +17,6 @@ from sl3d_slam.lines.view import hidden_share
 MAX_RING_SHARE = 0.5
 JOIN_RADIUS_M = 0.35
 MAX_RADIUS_M = 0.45
-RANGE_NOISE_M = 0.02
-GATE = 2.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,40 +66,11 @@ def _fit_pole(scene: Scene, voxels: np.ndarray, min_length_m: float) -> Upright 
     returns = scene.returns_of(voxels)
     if len(returns) < 5:
         return None
-    front, slope = fit_upright(np.ascontiguousarray(returns))
-    axis, radius = _axis_behind(front, slope, returns)
+    front, slope = fit_upright(returns)
+    axis, radius = axis_behind(front, slope, returns)
     if radius > MAX_RADIUS_M:
         return None
     return _judge(scene, voxels, (axis, slope, radius, len(returns)), min_length_m)
-
-
-def _axis_behind(
-    front: Float64[np.ndarray, "3"],
-    slope: Float64[np.ndarray, "2"],
-    returns: Float64[np.ndarray, "N 3"],
-) -> tuple[Float64[np.ndarray, "3"], float]:
-    """Move a line from the visible front of a cylinder to its axis; return it and the radius.
-
-    Beams are evenly spread over the width, whose standard deviation is then radius / sqrt(3), and
-    the returns lie pi / 4 radii in front of the axis on average. Branches and signs are left out
-    by a gate on the median distance, which is half a radius where there are none.
-    """
-    sight = front[:2] / np.linalg.norm(front[:2])
-    aside = np.array([-sight[1], sight[0]])
-    offset = returns[:, :2] - front[:2] - slope * (returns[:, 2:] - front[2])
-    across, depth = offset @ aside, offset @ sight
-    middle = float(np.median(across))
-    for _ in range(3):
-        distance = np.abs(across - middle)
-        inside = distance <= GATE * np.median(distance) + RANGE_NOISE_M
-        middle = float(across[inside].mean())
-    radius = float(np.sqrt(max(3.0 * (across[inside].var() - RANGE_NOISE_M**2), 0.0)))
-    deep = depth[inside]
-    distance = np.abs(deep - np.median(deep))
-    gate_m = max(GATE * float(np.median(distance)), radius) + RANGE_NOISE_M
-    front_depth = float(deep[distance <= gate_m].mean())
-    behind = front_depth + 0.25 * np.pi * radius
-    return front + np.array([*(sight * behind + aside * middle), 0.0]), radius
 
 
 def _judge(

@@ -64,7 +64,8 @@ class Scene:
             self.members[first:last]
             for first, last in zip(self.member_start[voxels], self.member_stop[voxels], strict=True)
         ]
-        return np.concatenate(groups) @ self.R_level_lidar.T if groups else np.zeros((0, 3))
+        joined = np.concatenate([np.zeros((0, 3)), *groups])
+        return np.ascontiguousarray(joined @ self.R_level_lidar.T)
 
 
 def vertical_gap_m(ranges_m: np.ndarray) -> np.ndarray:
