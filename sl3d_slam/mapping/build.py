@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import cKDTree
 
 from sl3d_slam.config import MapSettings
+from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.segments import midpoints
 from sl3d_slam.mapping.landmarks import mean_lines
 from sl3d_slam.mapping.merge import group_lines, standing
@@ -134,3 +135,23 @@ def join_lines(parts: Sequence[LineSet]) -> LineSet:
         kinds=np.concatenate([part.kinds for part in parts]),
         scores=np.concatenate([part.scores for part in parts]),
     )
+
+
+def check_counts(
+    count: int,
+    keyframe_lines: Sequence[LineSet],
+    keyframe_up: np.ndarray,
+    clouds: Sequence[np.ndarray] | None,
+) -> None:
+    """Refuse lines, up vectors or clouds that are not as many as the poses.
+
+    Raises
+    ------
+    InputError
+        saying so, or that descriptors are of different lengths.
+    """
+    found = [len(keyframe_lines), len(keyframe_up), count if clouds is None else len(clouds)]
+    if any(number != count for number in found):
+        raise InputError(f"a map of {count} poses needs lines, up vectors and clouds of each")
+    if len({lines.descriptors.shape[1] for lines in keyframe_lines}) > 1:
+        raise InputError("the lines of a map need descriptors of one model, all of one length")

@@ -3,6 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float64, Int64
+from scipy.spatial import cKDTree
 
 from sl3d_slam.config import MapSettings
 from sl3d_slam.errors import InputError
@@ -46,6 +48,29 @@ def join_maps(first: LineMap, second: LineMap, settings: MapSettings) -> LineMap
     origin = replace(first.origin, simulated=first.simulated or second.simulated)
     up = np.concatenate([first.keyframe_up, second.keyframe_up])
     return LineMap(merged, poses, up, offsets, indices, _joined_cloud(first, second), origin)
+
+
+def repose(line_map: LineMap, T_map_keyframe: Float64[np.ndarray, "K 4 4"]) -> LineMap:
+    """Carry landmarks and cloud along with their keyframes to new poses."""
+    T_new_old = T_map_keyframe @ np.linalg.inv(line_map.T_map_keyframe)
+    R, t = T_new_old[:, :3, :3], T_new_old[:, :3, 3]
+    keyframe = _middle_keyframe(line_map)
+    endpoints = np.einsum("lij,lkj->lki", R[keyframe], line_map.lines.endpoints)
+    lines = replace(line_map.lines, endpoints=endpoints + t[keyframe][:, None])
+    cloud = line_map.cloud
+    if cloud is not None and len(cloud):
+        points = cloud.all_points().astype(np.float64)
+        _, nearest = cKDTree(line_map.T_map_keyframe[:, :3, 3]).query(points)
+        moved = np.einsum("pij,pj->pi", R[nearest], points) + t[nearest]
+        cloud = join_clouds([moved], cloud.voxel_m)
+    return replace(line_map, lines=lines, T_map_keyframe=T_map_keyframe, cloud=cloud)
+
+
+def _middle_keyframe(line_map: LineMap) -> Int64[np.ndarray, "L"]:
+    """Return the middle one of the keyframes that saw each landmark."""
+    order = np.argsort(line_map.indices, kind="stable")  # by landmark, keyframes ascending
+    starts = np.cumsum(line_map.support) - line_map.support
+    return seeing(line_map)[order][starts + line_map.support // 2]
 
 
 def _joined_cloud(first: LineMap, second: LineMap) -> VoxelCloud | None:

@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from sl3d_slam.config import MapSettings
-from sl3d_slam.errors import InputError, OutputError
+from sl3d_slam.errors import OutputError
 from sl3d_slam.files import write_whole
 from sl3d_slam.geometry.se3 import Transform
 from sl3d_slam.mapping.build import (
     by_keyframe,
+    check_counts,
     group_observations,
     keep_landmarks,
     observations_of,
@@ -120,7 +121,7 @@ class LineMap:
         settings : what counts as one line, what is kept, and how fine the cloud is.
         origin : model, settings of the whole run, simulated or not.
         """
-        _check_counts(len(T_map_keyframe), keyframe_lines, keyframe_up, clouds)
+        check_counts(len(T_map_keyframe), keyframe_lines, keyframe_up, clouds)
         observations, keyframes = observations_of(keyframe_lines, T_map_keyframe, keyframe_up)
         groups = group_observations(observations, settings)
         lines = mean_lines(observations.lines, observations.weights, groups)
@@ -142,6 +143,16 @@ class LineMap:
             T_map_keyframe=T_new_map @ self.T_map_keyframe,
             cloud=None if self.cloud is None else self.cloud.transformed(T_new_map),
         )
+
+    def reposed(self, T_map_keyframe: Float64[np.ndarray, "K 4 4"]) -> "LineMap":
+        """Carry landmarks and cloud along with keyframes whose poses were optimised anew.
+
+        A landmark moves as the middle one of the keyframes that saw it, a point of the cloud as
+        the keyframe nearest to it. Meant for corrections of decimetres; landmarks are not merged.
+        """
+        from sl3d_slam.mapping.join import repose
+
+        return repose(self, T_map_keyframe)
 
     def joined(self, other: "LineMap", T_map_other: Transform, settings: MapSettings) -> "LineMap":
         """Return one map of both, the other's keyframes after this one's.
@@ -209,16 +220,3 @@ def landmark_up(line_map: LineMap) -> Float64[np.ndarray, "L 3"]:
     result = np.zeros((len(line_map), 3))
     result[line_map.indices] = up[seeing(line_map)]
     return result
-
-
-def _check_counts(
-    count: int,
-    keyframe_lines: Sequence[LineSet],
-    keyframe_up: np.ndarray,
-    clouds: Sequence[np.ndarray] | None,
-) -> None:
-    found = [len(keyframe_lines), len(keyframe_up), count if clouds is None else len(clouds)]
-    if any(number != count for number in found):
-        raise InputError(f"a map of {count} poses needs lines, up vectors and clouds of each")
-    if len({lines.descriptors.shape[1] for lines in keyframe_lines}) > 1:
-        raise InputError("the lines of a map need descriptors of one model, all of one length")

@@ -127,6 +127,23 @@ def test_what_was_gone_the_second_time_counts_for_less():
     assert np.linalg.norm(places_of(joined)[:, :2] - [14.0, 2.0], axis=1).min() > 3.0
 
 
+def test_landmarks_and_cloud_follow_their_keyframes():
+    built = make_map(street(40), way_along(0, 360), with_clouds=True)
+    late = np.arange(len(built.T_map_keyframe)) >= 60  # from 180 m on
+    shift = exp(np.array([0.0, 0.0, 0.0, 0.1, 0.3, -0.2]))
+    poses = np.where(late[:, None, None], shift @ built.T_map_keyframe, built.T_map_keyframe)
+    moved = built.reposed(poses)
+    change = places_of(moved) - places_of(built)
+    far = places_of(built)[:, 0] > 211.0  # out of sight of all early keyframes
+    assert np.allclose(change[far], [0.1, 0.3, -0.2])
+    assert np.allclose(change[places_of(built)[:, 0] < 148.0], 0.0)
+    assert np.array_equal(moved.T_map_keyframe, poses)
+    rigid = built.reposed(POSE @ built.T_map_keyframe)
+    assert np.allclose(places_of(rigid), places_of(built.transformed(POSE)), atol=1e-9)
+    cloud = rigid.cloud.all_points(), built.transformed(POSE).cloud.all_points()
+    assert np.allclose(*cloud, atol=1e-4)
+
+
 def test_maps_of_two_models_are_not_joined():
     first = make_map(street(4), way_along(0, 30))
     second = replace(first, origin=MapOrigin(model="learned abcd"))
