@@ -17,7 +17,7 @@ from sl3d_slam.config import MapSettings
 from sl3d_slam.geometry.segments import Segments, directions, lengths_m, midpoints
 
 STANDING_DEG = 20.0
-REACH_FACTOR = 2.0  # middles of standing lines that agree may lie this much farther apart
+LEAN_M = 0.5  # middles of leaning lines lie farther apart than their axes
 SAMPLE_M = 1.0
 
 
@@ -57,7 +57,7 @@ def agreeing_pairs(
 ) -> Pairs:
     """Return all pairs of lines that may be one line, standing ones and others apart."""
     upright, other = np.flatnonzero(is_standing), np.flatnonzero(~is_standing)
-    reach_m = REACH_FACTOR * settings.merge_distance_m
+    reach_m = settings.merge_distance_m + LEAN_M
     candidates = np.concatenate(
         [
             upright[_near_from_above(midpoints(endpoints[upright]), reach_m)],

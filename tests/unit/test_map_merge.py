@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sl3d_slam.config import MapSettings
 from sl3d_slam.geometry.se3 import from_yaw, invert, make_transform, rotation_between
 from sl3d_slam.geometry.segments import directions, midpoints
+from sl3d_slam.mapping.landmarks import mean_lines
 from sl3d_slam.mapping.line_map import LineMap
 from sl3d_slam.mapping.merge import agreeing_pairs, group_lines, standing
 from sl3d_slam.types import LineKind, LineSet
@@ -149,17 +152,59 @@ def test_descriptor_is_the_unit_mean_and_kind_the_commonest():
     assert built.lines.num_points.tolist() == [20]
 
 
+def test_long_observations_say_which_way_and_ends_carry_no_order():
+    long = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 6.0]])
+    short = np.array([[0.0, 0.0, 3.0], [0.1, 0.0, 2.0]])  # leans by 5.7 degrees, and upside down
+    mean = mean_lines(line_set([long, short]), np.ones(2), np.zeros(2, np.int64))
+    lean = np.degrees(np.arccos(abs(directions(mean.endpoints)[0, 2])))
+    assert lean == pytest.approx(5.7 / 37, abs=0.01)  # one part in 36 + 1
+    assert np.allclose(np.sort(mean.endpoints[0, :, 2]), [0.0, 6.0], atol=0.01)
+
+
+def test_a_row_that_stands_for_many_counts_as_many():
+    rows = line_set([pole(5.0, 2.0), pole(5.0, 2.02)])
+    rows = replace(rows, descriptors=np.array([[1.0, 0.0], [0.0, 1.0]], np.float32))
+    once = mean_lines(rows, np.array([3.0, 1.0]), np.zeros(2, np.int64))
+    many = mean_lines(rows.take(np.array([0, 0, 0, 1])), np.ones(4), np.zeros(4, np.int64))
+    assert np.allclose(once.endpoints, many.endpoints)
+    assert np.allclose(once.descriptors, many.descriptors)
+    assert np.allclose(once.descriptors, np.array([[3.0, 1.0]]) / np.sqrt(10))
+
+
 def test_order_of_lines_in_a_scan_and_of_their_ends_changes_nothing(rng):
     truth = np.array([pole(7.0 * k, 5.0 * (-1) ** k) for k in range(5)])
     poses = drive(10)
     seen = [line_set(noisy(truth, rng, 0.05)) for _ in poses]
-    flipped = [lines.take(np.arange(5)[::-1]) for lines in seen]
-    flipped = [line_set(lines.endpoints[:, ::-1]) for lines in flipped]
+    flipped = []
+    for lines in seen:
+        endpoints = lines.endpoints[rng.permutation(5)]
+        turn = rng.random(5) < 0.5
+        endpoints[turn] = endpoints[turn, ::-1]
+        flipped.append(line_set(endpoints))
     first, second = build(seen, poses), build(flipped, poses)
-    places = [np.sort(midpoints(built.lines.endpoints)[:, 0]) for built in (first, second)]
-    assert np.allclose(*places, atol=1e-9)
+    ends = []
+    for built in (first, second):
+        by_x = built.lines.endpoints[np.argsort(built.lines.endpoints[:, 0, 0])]
+        ends.append(np.take_along_axis(by_x, np.argsort(by_x[:, :, 2:], axis=1), axis=1))
+    assert np.allclose(*ends, atol=1e-9)
     again = build(seen, poses)
     assert np.array_equal(first.lines.endpoints, again.lines.endpoints)
+
+
+def test_the_densest_line_gathers_its_neighbours():
+    beside = np.array([pole(9.0, y) for y in (0.0, 0.35, 0.35, 0.35, 0.7, 5.0)])
+    groups = group_lines(beside, np.ones(6), np.ones(6, bool), DEFAULTS)
+    assert groups.tolist() == [0, 0, 0, 0, 0, 1]
+    weights = np.array([9.0, 1.0, 1.0, 1.0, 1.0, 1.0])  # a row that stands for nine
+    groups = group_lines(beside, weights, np.ones(6, bool), DEFAULTS)
+    assert groups.tolist() == [0, 0, 0, 0, 1, 2]
+
+
+def test_two_pieces_pointing_opposite_ways_are_one_line():
+    tilted = np.array([[[0.0, 0.0, 0.0], [0.2, 0.0, 2.0]], [[0.4, 0.0, 4.0], [0.22, 0.0, 2.2]]])
+    assert group_lines(tilted, np.ones(2), np.ones(2, bool), DEFAULTS).tolist() == [0, 0]
+    half = MapSettings(merge_distance_m=0.05)
+    assert group_lines(tilted, np.ones(2), np.ones(2, bool), half).tolist() == [0, 0]
 
 
 def test_pairs_agree_with_brute_force(rng):
