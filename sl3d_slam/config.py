@@ -118,6 +118,13 @@ class MapSettings(Settings):
     cloud_min_keyframes: int = Field(default=2, ge=1)
 
 
+class RelocalizationSettings(Settings):
+    """What a place of a saved map must show; it differs from a scan: it has seen more sides."""
+
+    min_visibility: float = Field(default=0.76, gt=0, le=1)
+    min_inliers: int = Field(default=5, ge=2)
+
+
 class SlamConfig(Settings):
     """All settings of a run."""
 
@@ -130,6 +137,7 @@ class SlamConfig(Settings):
     loops: LoopSettings = LoopSettings()
     graph: GraphSettings = GraphSettings()
     map: MapSettings = MapSettings()
+    relocalization: RelocalizationSettings = RelocalizationSettings()
 
 
 def load_config(path: Path | str | None = None, overrides: Sequence[str] = ()) -> SlamConfig:

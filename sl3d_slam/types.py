@@ -156,6 +156,28 @@ class Registration:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Relocalization:
+    """The answer to "where in the map is this scan?".
+
+    Attributes
+    ----------
+    success : whether ``T_map_lidar`` may be used.
+    T_map_lidar : (4, 4) or None where there is no answer.
+    information : (6, 6) inverse covariance, rotation first (GTSAM), at the lidar frame.
+    num_inliers : standing lines of the scan that lie on landmarks.
+    confidence : in [0, 1]; 0 without an answer.
+    reason : empty on success, else one sentence.
+    """
+
+    success: bool
+    T_map_lidar: Transform | None
+    information: Float64[np.ndarray, "6 6"]
+    num_inliers: int
+    confidence: float
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LoopConstraint:
     """A verified relative pose between two keyframes; ``query`` is newer, ``target`` older.
 

@@ -15,6 +15,8 @@ from sl3d_slam.cli.export import export
 from sl3d_slam.cli.info import info
 from sl3d_slam.cli.lines import lines
 from sl3d_slam.cli.map import map_
+from sl3d_slam.cli.register import register
+from sl3d_slam.cli.relocalize import relocalize
 from sl3d_slam.cli.simulate import simulate
 
 app = typer.Typer(
@@ -25,6 +27,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("map")(map_)
+app.command()(relocalize)
+app.command()(register)
 app.command()(lines)
 app.command()(simulate)
 app.command()(info)
