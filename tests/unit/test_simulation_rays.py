@@ -95,6 +95,10 @@ def test_points_are_in_the_frame_of_a_sensor_that_moved_and_turned():
     builder.box((10.0, 20.0, 0.0), 0.0, (1.0, 1.0, 3.0), WALL)
     T_town_lidar = from_yaw(np.pi / 2, np.array([10.0, 5.0, 0.5]))  # looks along +y, at the box
     scan = cast(builder, T=T_town_lidar)
+    builder.box((7.0, 12.0, 0.0), 0.0, (0.5, 0.5, 3.0), WALL)  # 7 m ahead, 3 m to the left
+    left = cast(builder, T=T_town_lidar).points_lidar
+    left = left[left[:, 0] < 8.0]
+    np.testing.assert_allclose([left[:, 0].min(), left[:, 1].min()], [6.5, 2.5], atol=0.03)
     # the near face is at y = 19, 14 m ahead
     np.testing.assert_allclose(ahead(scan)[:, 0], 14.0, atol=1e-5)
 
