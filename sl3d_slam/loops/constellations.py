@@ -28,6 +28,7 @@ SIDE_TOLERANCE_M = 0.35
 YAW_CELLS = 60
 SHIFT_CELL_M = 2.0
 SHIFT_CELLS = 64
+NEAR_YAW_RAD = np.radians(6.0)
 MAX_VOTES = 400_000
 
 
@@ -114,30 +115,38 @@ def _best_per_view(poses: np.ndarray, owners: np.ndarray, limit: int) -> list[Pl
     cell = (yaw_cell[keep] % YAW_CELLS) * SHIFT_CELLS + shift_cell[keep, 0]
     key = (owners * YAW_CELLS * SHIFT_CELLS + cell) * SHIFT_CELLS + shift_cell[keep, 1]
     _, first, counts = np.unique(key, return_index=True, return_counts=True)
-    order = np.argsort(-counts, kind="stable")[: 8 * limit]
+    fullest = np.argsort(-counts, kind="stable")[: 2 * limit]
+    by_owner = np.argsort(owners, kind="stable")
+    poses, owners = poses[by_owner], owners[by_owner]
+    around = np.empty(len(by_owner), np.int64)
+    around[by_owner] = np.arange(len(by_owner))
     best: dict[int, PlaceVote] = {}
-    sorted_owners = np.argsort(owners, kind="stable")
-    bounds = np.searchsorted(
-        owners[sorted_owners], [owners[first[order]], owners[first[order]] + 1]
-    )
-    for n, c in enumerate(order):
-        rows = sorted_owners[bounds[0, n] : bounds[1, n]]
-        vote = _gather(poses[rows], poses[first[c]], int(owners[first[c]]))
-        if vote.view_id not in best or vote.votes > best[vote.view_id].votes:
-            best[vote.view_id] = vote
+    for start in around[first[fullest]]:
+        view_id = int(owners[start])
+        begin, end = np.searchsorted(owners, [view_id, view_id + 1])
+        yaw, x, y, votes = _gather(poses[begin:end], poses[start])
+        if view_id not in best or votes > best[view_id].votes:
+            best[view_id] = PlaceVote(view_id, (yaw, x, y), votes)
     return sorted(best.values(), key=lambda vote: (-vote.votes, vote.view_id))[:limit]
 
 
-def _gather(poses: np.ndarray, around: np.ndarray, view_id: int) -> PlaceVote:
-    centre = around
+@njit(cache=True)
+def _gather(poses: np.ndarray, around: np.ndarray) -> tuple[float, float, float, float]:
+    """Return the mean of the poses around one (moved there twice), and how many they are."""
+    yaw, x, y, count = around[0], around[1], around[2], 0
     for _ in range(2):
-        turn = np.angle(np.exp(1j * (poses[:, 0] - centre[0])))
-        shift = poses[:, 1:] - centre[1:]
-        near = (np.abs(turn) < np.radians(6.0)) & (np.hypot(*shift.T) < SHIFT_CELL_M)
-        centre = centre + np.r_[np.median(turn[near]), np.median(shift[near], axis=0)]
-    return PlaceVote(
-        view_id, (float(centre[0]), float(centre[1]), float(centre[2])), float(near.sum())
-    )
+        turn_sum, x_sum, y_sum, count = 0.0, 0.0, 0.0, 0
+        for p in range(len(poses)):
+            turn = (poses[p, 0] - yaw + np.pi) % (2.0 * np.pi) - np.pi
+            gap = (poses[p, 1] - x) ** 2 + (poses[p, 2] - y) ** 2
+            if abs(turn) < NEAR_YAW_RAD and gap < SHIFT_CELL_M**2:
+                turn_sum += turn
+                x_sum += poses[p, 1]
+                y_sum += poses[p, 2]
+                count += 1
+        if count > 0:
+            yaw, x, y = yaw + turn_sum / count, x_sum / count, y_sum / count
+    return yaw, x, y, float(count)
 
 
 @njit(cache=True)

@@ -1,6 +1,7 @@
 """Centimetres from coarse clouds: two-stage GICP by small_gicp, and what it leaves free."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import small_gicp
@@ -18,13 +19,21 @@ MIN_TRANSLATION_M = 0.01
 FREE_RATIO = 1e-6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class DenseCloud:
     """A coarse cloud ready for GICP: points with covariances, and their tree."""
 
-    points: small_gicp.PointCloud
-    tree: small_gicp.KdTree
-    moving: tuple[small_gicp.PointCloud, ...]
+    def __init__(self, cloud: Float32[np.ndarray, "M 3"]) -> None:
+        self.points = small_gicp.PointCloud(cloud.astype(np.float64))
+        self.tree = small_gicp.KdTree(self.points)
+        small_gicp.estimate_covariances(self.points, self.tree, num_neighbors=NEIGHBOURS)
+
+    @cached_property
+    def moving(self) -> tuple[small_gicp.PointCloud, ...]:
+        """Thinner clouds, one a stage, for when this side is the source."""
+        return tuple(
+            small_gicp.preprocess_points(self.points, voxel_m, num_neighbors=NEIGHBOURS)[0]
+            for _, voxel_m in STAGES
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,14 +56,7 @@ def prepare(cloud: Float32[np.ndarray, "M 3"]) -> DenseCloud | None:
     """Estimate covariances and build the tree; None where there are too few points to align."""
     if len(cloud) < MIN_POINTS:
         return None  # small_gicp would answer with the identity
-    points = small_gicp.PointCloud(cloud.astype(np.float64))
-    tree = small_gicp.KdTree(points)
-    small_gicp.estimate_covariances(points, tree, num_neighbors=NEIGHBOURS)
-    moving = tuple(
-        small_gicp.preprocess_points(points, voxel_m, num_neighbors=NEIGHBOURS)[0]
-        for _, voxel_m in STAGES
-    )
-    return DenseCloud(points, tree, moving)
+    return DenseCloud(cloud)
 
 
 def align(target: DenseCloud, source: DenseCloud, T_target_source: Transform) -> DenseAlignment:
