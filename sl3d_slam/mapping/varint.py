@@ -52,5 +52,8 @@ def unpack(packed: UInt8[np.ndarray, "S"]) -> Int64[np.ndarray, "N"]:
     sizes = ends - starts + 1
     if sizes.max() > MAX_BYTES:
         raise ValueError("an integer is too long")
-    place = np.arange(len(packed)) - np.repeat(starts, sizes)
-    return np.add.reduceat((packed & 127).astype(np.int64) << (7 * place), starts)
+    values = (packed[starts] & 127).astype(np.int64)
+    for k in range(1, int(sizes.max())):
+        longer = np.flatnonzero(sizes > k)
+        values[longer] += (packed[starts[longer] + k] & 127).astype(np.int64) << (7 * k)
+    return values

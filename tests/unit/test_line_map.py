@@ -10,8 +10,10 @@ from sl3d_slam.config import MapSettings
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import exp, from_yaw, invert, transform_points
 from sl3d_slam.geometry.segments import midpoints
+from sl3d_slam.mapping.build import observations_of
 from sl3d_slam.mapping.facts import area_m2, map_facts, street_steps
-from sl3d_slam.mapping.line_map import LineMap, MapOrigin
+from sl3d_slam.mapping.line_map import LineMap, MapOrigin, landmark_up
+from sl3d_slam.mapping.merge import standing
 from sl3d_slam.types import LineKind, LineSet
 
 POSE = exp(np.array([0.05, -0.1, 0.9, 50.0, -20.0, 3.0]))
@@ -87,6 +89,17 @@ def test_moving_the_frame_moves_everything_alike():
     assert apart.max() < 3 * 0.8 / 32  # rounded twice to a 32nd of a voxel
     assert np.hypot(*(near[:, :2] - origin[:2]).T).max() < 12.0
     assert made_there.cloud_near(origin + np.array([0.0, 500.0, 0.0]), 12.0).shape == (0, 3)
+
+
+def test_up_is_known_in_the_map_wherever_it_is_turned():
+    rolled = exp(np.array([1.2, 0.4, -0.3, 5.0, 6.0, 7.0]))
+    built = make_map(street(6), way_along(0, 30), frame=rolled)
+    assert len(built) == 6
+    assert np.allclose(landmark_up(built), rolled[:3, 2], atol=1e-9)
+    lines = [built.lines.transformed(invert(T)) for T in built.T_map_keyframe]
+    observed, _ = observations_of(lines, built.T_map_keyframe, built.keyframe_up)
+    assert np.allclose(observed.up, rolled[:3, 2], atol=1e-9)
+    assert standing(observed.lines.endpoints, observed.up).all()
 
 
 def test_without_clouds_nothing_is_near():

@@ -91,10 +91,11 @@ def test_position_is_mean_of_good_observations_not_of_one_bad_one():
 def test_what_moves_is_dropped_and_its_trail_is_no_line():
     poses = drive(20)
     walker = [pole(5.0 + 0.9 * k, 4.0, 0.3, 1.8) for k in range(20)]
-    seen = [line_set([pole(30.0, -5.0), walker[k]]) for k in range(20)]
+    seen = [line_set([walker[k], pole(30.0, -5.0)]) for k in range(20)]
     built = build(seen, poses)
     assert len(built) == 1
     assert built.support.tolist() == [20]
+    assert built.indices.tolist() == [0] * 20
 
 
 def test_line_seen_once_stays_only_where_there_was_no_second_chance():
