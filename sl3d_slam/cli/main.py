@@ -9,7 +9,9 @@ from typing import Annotated
 import typer
 
 from sl3d_slam import __version__
+from sl3d_slam.cli.bench import bench
 from sl3d_slam.cli.config import config
+from sl3d_slam.cli.demo import demo
 from sl3d_slam.cli.errors import Verbs
 from sl3d_slam.cli.export import export
 from sl3d_slam.cli.info import info
@@ -34,6 +36,8 @@ app.command()(simulate)
 app.command()(info)
 app.command()(export)
 app.command()(config)
+app.command()(demo)
+app.add_typer(bench, name="bench")
 
 
 def _print_version(wanted: bool) -> bool:

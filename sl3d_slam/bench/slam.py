@@ -1,0 +1,138 @@
+"""``sl3d bench slam``: this package against kiss-slam and KISS-ICP on the same scans.
+
+Every system runs in a process of its own, one after the other.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from sl3d_slam.bench.slam_figures import COLUMNS, NOTES, accuracy, growth
+from sl3d_slam.bench.slam_pictures import draw_bars, draw_paths, draw_series
+from sl3d_slam.bench.slam_process import Answer, run_in_process
+from sl3d_slam.bench.slam_runner import SlamTask
+from sl3d_slam.bench.systems import OURS, PEERS
+from sl3d_slam.bench.tables import Row, Table, write_tables
+from sl3d_slam.config import SlamConfig
+from sl3d_slam.errors import InputError
+from sl3d_slam.files import prepare_run_folder, write_whole
+from sl3d_slam.io.dataset import Dataset
+
+Progress = Callable[[str, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """One sequence: where it is and, where a dataset has several, which."""
+
+    data: Path
+    sequence: str | None = None
+    dataset: str = "auto"
+
+
+@dataclass(frozen=True, slots=True)
+class SlamBench:
+    """What is compared, on how much of each drive, driven how.
+
+    Attributes
+    ----------
+    drives : the sequences.
+    peers : the other systems, keys of ``PEERS``.
+    scans : only the first so many of each drive; with ``out_and_back`` of the one-way drive.
+    out_and_back : turn each drive into one that comes back (:mod:`sl3d_slam.bench.outback`).
+    config : settings of this package; the peers run with their own defaults.
+    """
+
+    drives: Sequence[Drive]
+    peers: Sequence[str] = tuple(PEERS)
+    scans: int | None = None
+    out_and_back: bool = False
+    config: SlamConfig = field(default_factory=SlamConfig)
+
+
+def run(
+    bench: SlamBench,
+    out: Path,
+    command: str = "sl3d bench slam",
+    progress: Progress = lambda note, steps: None,
+) -> Table:
+    """Compare the systems; leave ``slam.csv``, ``.md`` and pictures in ``out``.
+
+    ``progress(note, steps)`` is told of every ``steps`` scans done. A peer that is missing or
+    fails has a row that says so.
+
+    Raises
+    ------
+    InputError
+        where a drive cannot be opened or a peer is not known.
+    OutputError
+        where ``out`` cannot be written.
+    """
+    unknown = [peer for peer in bench.peers if peer not in PEERS]
+    if unknown:
+        raise InputError(f"{unknown[0]}: unknown peer; expected some of {', '.join(PEERS)}")
+    prepare_run_folder(out)
+    rows: list[Row] = []
+    for number, drive in enumerate(bench.drives):
+        tasks = [_task(bench, drive, system) for system in (OURS, *bench.peers)]
+        opened = tasks[0].open()
+        truth = None if opened.truth is None else opened.truth[: tasks[0].num_scans(opened)]
+        answers = {task.system: run_in_process(task, progress) for task in tasks}
+        rows += [_row(opened, name, answer, truth) for name, answer in answers.items()]
+        title = f"{opened.name}{' (simulated)' if opened.simulated else ''}"
+        name = f"slam_{number}_{opened.name.replace(' ', '_')}"
+        write_whole(out / f"{name}_paths.png", draw_paths(answers, truth, title))
+        write_whole(out / f"{name}_run.png", draw_series(answers, title))
+    table = Table("SLAM systems side by side", COLUMNS, rows, NOTES)
+    write_tables(out, "slam", [table], command)
+    write_whole(out / "slam.png", draw_bars(rows))
+    return table
+
+
+def num_steps(bench: SlamBench) -> int:
+    """Return how many scans all systems together will process. Raises InputError."""
+    total = 0
+    for drive in bench.drives:
+        task = _task(bench, drive, OURS)
+        total += task.num_scans(task.open()) * (1 + len(bench.peers))
+    return total
+
+
+def _task(bench: SlamBench, drive: Drive, system: str) -> SlamTask:
+    return SlamTask(
+        system=system,
+        data=str(drive.data.resolve()),
+        dataset=drive.dataset,
+        sequence=drive.sequence,
+        scans=bench.scans,
+        out_and_back=bench.out_and_back,
+        config=bench.config.model_dump(),
+    )
+
+
+def _row(opened: Dataset, system: str, answer: Answer, truth: np.ndarray | None) -> Row:
+    row: Row = {
+        "sequence": opened.name,
+        "kind": "simulated" if opened.simulated else "real",
+        "system": system,
+        "status": answer.status,
+    }
+    if answer.series is None:
+        return row
+    poses = answer.series.T_world_lidar
+    try:
+        measured = accuracy(poses, answer.loops, truth)
+    except InputError as error:
+        measured = {"status": str(error)}
+    count = len(answer.series.taken_ms)
+    busy_s = 1e-3 * float(answer.series.taken_ms.sum()) + answer.figures["finish_s"]
+    return {
+        **row,
+        **growth(answer.series.taken_ms, answer.series.resident_mb),
+        **answer.figures,
+        "ms_all": 1e3 * busy_s / count,
+        "map_mb": None if answer.map_bytes is None else answer.map_bytes / 1e6,
+        **measured,
+    }
