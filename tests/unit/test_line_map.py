@@ -129,6 +129,16 @@ def test_two_sessions_in_one_frame_become_one_map():
     assert len(joined.cloud) >= 2 * 20 - 2
 
 
+def test_a_landmark_seen_more_often_moves_less():
+    first = make_map([[30.0, 5.0]], way_along(6, 54))
+    second = make_map([[30.0, 5.02]], way_along(24, 36))
+    assert (first.support[0], second.support[0]) == (16, 4)
+    joined = first.joined(second, np.eye(4), SETTINGS)
+    assert joined.support.tolist() == [20]
+    # the weighted mean; Cauchy weights at a sixth of their scale change it by under a millimetre
+    assert places_of(joined)[0, 1] == pytest.approx(5.0 + 0.02 * 4 / 20, abs=0.001)
+
+
 def test_what_was_gone_the_second_time_counts_for_less():
     gone = np.vstack([street(4), [[14.0, 2.0]]])
     first = make_map(gone, way_along(6, 18))
