@@ -1,6 +1,6 @@
 """A drive through a town: where the sensor is at each scan, and the scans one by one."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -65,10 +65,11 @@ def plan_drive(
     return Drive(town, day, direction, sensor_named(sensor), poses, traffic)
 
 
-def simulate_drive(drive: Drive) -> Iterator[SimulatedScan]:
-    """Yield the scans of a drive in order; nothing is kept."""
+def simulate_drive(drive: Drive, indices: Iterable[int] | None = None) -> Iterator[SimulatedScan]:
+    """Yield the scans of a drive in order, or those chosen; nothing is kept."""
     scene = build_scene(drive.town.ground, [drive.town.primitives, drive.traffic.parked])
-    for index, T_town_lidar in enumerate(drive.T_town_lidar):
+    for index in range(len(drive)) if indices is None else indices:
+        T_town_lidar = drive.T_town_lidar[index]
         place = T_town_lidar[:2, 3]
         scene.move(moving_primitives(drive.traffic, drive.town.ground, index, place))
         seed = drive.town.seed * 1009 + drive.day
