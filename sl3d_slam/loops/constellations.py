@@ -6,6 +6,7 @@ while the lines of a true revisit agree on one.
 """
 
 from dataclasses import dataclass
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float64
@@ -131,6 +132,7 @@ def _best_per_view(poses: np.ndarray, owners: np.ndarray, limit: int) -> list[Pl
 
 
 @njit(cache=True)
+@no_type_check
 def _gather(poses: np.ndarray, around: np.ndarray) -> tuple[float, float, float, float]:
     """Return the mean of the poses around one (moved there twice), and how many they are."""
     yaw, x, y, count = around[0], around[1], around[2], 0
@@ -150,6 +152,7 @@ def _gather(poses: np.ndarray, around: np.ndarray) -> tuple[float, float, float,
 
 
 @njit(cache=True)
+@no_type_check
 def _collect(  # noqa: PLR0913
     xy: np.ndarray,
     triangles: np.ndarray,
@@ -178,6 +181,7 @@ def _collect(  # noqa: PLR0913
 
 
 @njit(cache=True)
+@no_type_check
 def _neighbour_slots(corner: np.ndarray, slots: np.ndarray) -> None:
     """Name the 8 table slots whose cells touch the half-cell cube around a triangle's sides."""
     a, b, c = sides_m(corner, 0, 1, 2)
@@ -193,6 +197,7 @@ def _neighbour_slots(corner: np.ndarray, slots: np.ndarray) -> None:
 
 
 @njit(cache=True)
+@no_type_check
 def _same_sides(query: np.ndarray, stored: np.ndarray) -> bool:
     if turns_left(query, 0, 1, 2) != turns_left(stored, 0, 1, 2):
         return False
@@ -202,6 +207,7 @@ def _same_sides(query: np.ndarray, stored: np.ndarray) -> bool:
 
 
 @njit(cache=True)
+@no_type_check
 def _lay_on(query: np.ndarray, stored: np.ndarray, pose: np.ndarray) -> None:
     """Write the planar pose (yaw, x, y) that lays one triangle on the other, least squares."""
     qx, qy = np.mean(query[:, 0]), np.mean(query[:, 1])

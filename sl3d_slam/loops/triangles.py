@@ -5,6 +5,8 @@ rotation (seen from above) is part of the triangle. A table hashed by the rounde
 "where have I seen this triangle before?" in a time that hardly grows with the number of views.
 """
 
+from typing import no_type_check
+
 import numpy as np
 from jaxtyping import Float64, Int32
 from numba import njit
@@ -32,6 +34,7 @@ def all_triangles(xy: Float64[np.ndarray, "V 2"], slack_m: float) -> Triangles:
 
 
 @njit(cache=True)
+@no_type_check
 def _local(xy: np.ndarray, neighbours: int) -> np.ndarray:
     count = len(xy)
     seen = set()
@@ -55,6 +58,7 @@ def _local(xy: np.ndarray, neighbours: int) -> np.ndarray:
 
 
 @njit(cache=True)
+@no_type_check
 def _all(xy: np.ndarray) -> np.ndarray:
     count = len(xy)
     rows = np.empty((count * (count - 1) * (count - 2) // 6, 3), np.int32)
@@ -68,6 +72,7 @@ def _all(xy: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True)
+@no_type_check
 def sides_m(xy: np.ndarray, i: int, j: int, k: int) -> tuple[float, float, float]:
     """Return the sides opposite i, j and k."""
     a = np.hypot(xy[j, 0] - xy[k, 0], xy[j, 1] - xy[k, 1])
@@ -77,6 +82,7 @@ def sides_m(xy: np.ndarray, i: int, j: int, k: int) -> tuple[float, float, float
 
 
 @njit(cache=True)
+@no_type_check
 def turns_left(xy: np.ndarray, i: int, j: int, k: int) -> int:
     """Return 1 where i, j, k run anticlockwise, else 0."""
     ux, uy = xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1]
@@ -85,6 +91,7 @@ def turns_left(xy: np.ndarray, i: int, j: int, k: int) -> int:
 
 
 @njit(cache=True)
+@no_type_check
 def bucket(a: float, b: float, c: float, left: int, shift: np.ndarray) -> int:
     """Return the table's slot for rounded sides; ``shift`` moves to a neighbouring cell."""
     i = np.int64(a / BIN_M) + shift[0]
@@ -97,6 +104,7 @@ def bucket(a: float, b: float, c: float, left: int, shift: np.ndarray) -> int:
 
 
 @njit(cache=True)
+@no_type_check
 def _canonical(xy: np.ndarray, rows: np.ndarray, slack_m: float) -> np.ndarray:
     """Order corners by their opposite sides, longest first; drop slivers and sizes out of range.
 
@@ -122,6 +130,7 @@ def _canonical(xy: np.ndarray, rows: np.ndarray, slack_m: float) -> np.ndarray:
 
 
 @njit(cache=True)
+@no_type_check
 def insert(
     heads: Int32[np.ndarray, "H"],
     links: Int32[np.ndarray, "E"],

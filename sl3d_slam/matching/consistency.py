@@ -5,6 +5,8 @@ meets each pair of target lines of about the same distance; two such pairs fix y
 of them are tried, so the best-supported pose among them is found for certain (no RANSAC).
 """
 
+from typing import no_type_check
+
 import numpy as np
 from jaxtyping import Float32, Float64
 from numba import njit
@@ -96,6 +98,7 @@ def _pairs(xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @njit(cache=True)
+@no_type_check
 def _match_pairs(  # noqa: PLR0913
     source_xy: np.ndarray,
     target_xy: np.ndarray,
@@ -127,6 +130,7 @@ def _match_pairs(  # noqa: PLR0913
 
 
 @njit(cache=True)
+@no_type_check
 def _rasterise(target_xy: np.ndarray, radius_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Return a grid that names the target line nearest to each cell, -1 where none is near."""
     margin = radius_m + RASTER_CELL_M
@@ -150,6 +154,7 @@ def _rasterise(target_xy: np.ndarray, radius_m: float) -> tuple[np.ndarray, np.n
 
 
 @njit(cache=True)
+@no_type_check
 def _score_poses(  # noqa: PLR0913
     poses: np.ndarray,
     source_xy: np.ndarray,

@@ -6,6 +6,7 @@ against it, and one that falls where the target saw nothing says nothing.
 """
 
 from dataclasses import dataclass
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -77,6 +78,7 @@ def _mask(cells: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True)
+@no_type_check
 def _mean_values(points: np.ndarray, value: np.ndarray, poses: np.ndarray) -> np.ndarray:
     scores = np.zeros(len(poses))
     for h in range(len(poses)):

@@ -6,6 +6,7 @@ One that lies at it agrees. One behind it is hidden and says nothing.
 """
 
 from dataclasses import dataclass
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -57,6 +58,7 @@ def compare(
 
 
 @njit(cache=True)
+@no_type_check
 def _cell(x: float, y: float, z: float) -> tuple[int, int, float]:
     flat = np.sqrt(x * x + y * y)
     elevation = np.arctan2(z, flat)
@@ -70,6 +72,7 @@ def _cell(x: float, y: float, z: float) -> tuple[int, int, float]:
 
 
 @njit(cache=True)
+@no_type_check
 def _range_image(points: np.ndarray) -> np.ndarray:
     image = np.empty((AZIMUTH_BINS, ELEVATION_BINS, 2), np.float32)
     image[:, :, 0] = np.inf
@@ -83,6 +86,7 @@ def _range_image(points: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True)
+@no_type_check
 def _compare(image: np.ndarray, points: np.ndarray) -> tuple[int, int]:
     agree, contradict = 0, 0
     for i in range(len(points)):
