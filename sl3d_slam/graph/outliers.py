@@ -73,14 +73,14 @@ def gnc_tls(
 def _tls_weights(
     squared: Float64[np.ndarray, "N"], threshold: float, mu: float
 ) -> Float64[np.ndarray, "N"]:
-    """Return the weights of the truncated-least-squares surrogate at ``mu``."""
+    """Return the weights of the truncated-least-squares surrogate at ``mu``.
+
+    They fall from 1 at ``threshold * mu / (mu + 1)`` to 0 at ``threshold * (mu + 1) / mu``.
+    """
     if np.isinf(mu):
         return (squared <= threshold).astype(np.float64)
     middle = np.sqrt(threshold * mu * (mu + 1.0) / np.maximum(squared, 1e-12)) - mu
-    weights = np.clip(middle, 0.0, 1.0)
-    weights[squared <= threshold * mu / (mu + 1.0)] = 1.0
-    weights[squared >= threshold * (mu + 1.0) / mu] = 0.0
-    return weights
+    return np.clip(middle, 0.0, 1.0)
 
 
 class _EndPointGraph:

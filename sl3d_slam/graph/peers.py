@@ -62,7 +62,6 @@ def solve_with_gnc(
     parameters = gtsam.GncLMParams(gtsam.LevenbergMarquardtParams())
     parameters.setKnownInliers(known)
     parameters.setRelativeCostTol(0.0)
-    parameters.setMaxIterations(200)
     optimizer = gtsam.GncLMOptimizer(graph, initial, parameters)
     optimizer.setInlierCostThresholdsAtProbability(1.0 - outlier_probability)
     try:

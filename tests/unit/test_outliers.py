@@ -155,6 +155,18 @@ def test_a_tie_stays_with_the_loop_that_came_first():
     assert "contradicts 1 of 1 loops" in verdict.reason
 
 
+def test_a_second_loop_that_agrees_with_the_challenger_wins_at_once():
+    poses = straight_and_back()
+    arbiter = arbiter_of(poses)
+    (wrong,) = arbiter.offer(loop_with_offset(poses, 12, 107, 0.9))
+    arbiter.offer(loop_with_offset(poses, 10, 109, 0.0))
+    changed = arbiter.offer(loop_with_offset(poses, 11, 108, 0.0))
+    assert wrong.status == "accepted"
+    statuses = {verdict.index: verdict.status for verdict in changed}
+    assert statuses == {0: "revoked", 1: "accepted", 2: "accepted"}
+    assert "contradicts 2 of 2 loops" in arbiter.verdicts[0].reason
+
+
 def test_loops_from_real_places_all_agree(rng):
     arbiter = arbiter_of(TRUTH)
     for loop in true_loops(TRUTH, 30, rng):

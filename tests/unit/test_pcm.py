@@ -29,8 +29,8 @@ def winding_drive(count):
     return np.array(poses)
 
 
-def chain_of(poses):
-    chain = OdometryChain(SETTINGS)
+def chain_of(poses, settings=SETTINGS):
+    chain = OdometryChain(settings)
     for k, pose in enumerate(poses):
         chain.append(k, pose, 1)
     return chain
@@ -73,6 +73,31 @@ def test_honest_pairs_of_loops_have_the_distances_they_should(rng, pair):
         first, second = (stack_loops(chain, [sampled_loop(truth, *ends, rng)]) for ends in pair)
         squared.append(check_pairs(chain, first, second)[0][0])
     assert np.mean(squared) == pytest.approx(6.0, abs=1.5)
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("disturbed", [0, 1])
+def test_a_loop_s_noise_is_carried_to_where_the_cycle_closes(axis, disturbed):
+    # a loop that is uncertain in one direction alone, wrong there by one sigma: one sigma in all.
+    # Carried to another place or by another rotation it would lie where nothing is uncertain.
+    exact = GraphSettings(
+        odometry_rotation_sigma_deg=1e-5,
+        odometry_translation_sigma_m=1e-6,
+        odometry_rotation_fraction=0.0,
+        odometry_translation_fraction=0.0,
+    )
+    truth = winding_drive(12)
+    chain = chain_of(truth, exact)
+    sigmas = np.full((2, 6), 1e-6)
+    sigmas[disturbed, axis] = 1e-3
+    columns = []
+    for k, (target, query) in enumerate(((0, 5), (2, 11))):
+        wrong = exp(1e-3 * np.eye(6)[axis] * (k == disturbed))
+        T_target_query = invert(truth[target]) @ truth[query] @ wrong
+        loop = LoopConstraint(target, query, T_target_query, np.diag(sigmas[k] ** -2.0), 9)
+        columns.append(stack_loops(chain, [loop]))
+    squared, _ = check_pairs(chain, *columns)
+    assert squared[0] == pytest.approx(1.0, abs=0.05)
 
 
 def test_shared_steps_are_counted_once(rng):
@@ -190,6 +215,13 @@ def test_an_equally_large_clique_does_not_displace_the_incumbent():
     for incumbent in ([0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10, 11]):
         assert maximum_clique(blocks, incumbent) == incumbent
     assert len(maximum_clique(blocks, [4, 5, 6])) == 4
+
+
+def test_the_search_goes_on_where_the_greedy_choice_fails():
+    adjacency = np.zeros((9, 9), dtype=bool)
+    adjacency[0, 1:6] = adjacency[1:6, 0] = True  # the best connected vertex is in pairs only
+    adjacency[6:, 6:] = True
+    assert maximum_clique(adjacency) == [6, 7, 8]
 
 
 def test_a_planted_clique_is_found_among_hundreds(rng):
