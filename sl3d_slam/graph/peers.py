@@ -51,8 +51,8 @@ def solve_with_gnc(
 ) -> tuple[Transforms, Float64[np.ndarray, "M"]]:
     """Return all poses and each loop's weight by gtsam's GNC-TLS, odometry as known inliers.
 
-    Its early stop on a small relative change of cost is off: with distant false loops the first
-    steps change the cost so little that it would stop before it has begun.
+    Its early stops are off: distant false loops make the first weights so small that gtsam takes
+    them all for zeros, and the cost change so little that it would end before it has begun.
     Raises GraphError where gtsam gives up.
     """
     graph, initial = _odometry_graph(T_odom_lidar, odometry)
@@ -62,6 +62,7 @@ def solve_with_gnc(
     parameters = gtsam.GncLMParams(gtsam.LevenbergMarquardtParams())
     parameters.setKnownInliers(known)
     parameters.setRelativeCostTol(0.0)
+    parameters.setWeightsTol(1e-12)
     optimizer = gtsam.GncLMOptimizer(graph, initial, parameters)
     optimizer.setInlierCostThresholdsAtProbability(1.0 - outlier_probability)
     try:
