@@ -63,7 +63,7 @@ def enumerate_poses(
 
 def thin_poses(
     poses: PlanarPoses, scores: Float64[np.ndarray, "H"], limit: int
-) -> tuple[PlanarPoses, Float64[np.ndarray, "K"]]:
+) -> tuple[Float64[np.ndarray, "K 3"], Float64[np.ndarray, "K"]]:
     """Keep the first (best) of the poses that fall into one cell of 0.5 m and 2 degrees."""
     poses, scores = poses[: 20 * limit], scores[: 20 * limit]
     cells = np.floor(poses / np.array([np.radians(2.0), 0.5, 0.5])).astype(np.int64)

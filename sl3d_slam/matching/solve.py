@@ -1,4 +1,4 @@
-"""A pose from matched lines: closed form, then the paper's point-to-line cost.
+"""A pose from matched lines and a first guess, by the paper's point-to-line cost.
 
 Source: SuperLine3D, Eq. 5 (point-to-line distances over all matches) and its rejection of matches
 farther than 1 m; here each source line gives its two end points and robust weights.
@@ -18,18 +18,6 @@ ITERATIONS = 12
 FREE_SHARE = 1e-3
 
 
-def planar_from_points(
-    source_xy: Float64[np.ndarray, "M 2"], target_xy: Float64[np.ndarray, "M 2"]
-) -> Float64[np.ndarray, "3"]:
-    """Return (yaw, x, y) that lays source points on target points in the least-squares sense."""
-    source_mean, target_mean = source_xy.mean(axis=0), target_xy.mean(axis=0)
-    a, b = source_xy - source_mean, target_xy - target_mean
-    yaw = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
-    c, s = np.cos(yaw), np.sin(yaw)
-    shift = target_mean - np.array([[c, -s], [s, c]]) @ source_mean
-    return np.array([yaw, *shift])
-
-
 def refine_on_lines(
     source: LineSet,
     target: LineSet,
@@ -37,6 +25,10 @@ def refine_on_lines(
     T_target_source: Transform,
 ) -> tuple[Transform, Float64[np.ndarray, "6 6"]]:
     """Minimise robust point-to-line distances; directions that no line fixes stay as they are.
+
+    Upright poles leave the height free; their lengths tell roll and pitch, if weakly. A direction
+    counts as free where a move along it (a turn by its lever: the points' mean range) shifts the
+    lines by less than a thirtieth of what it does in the best-held direction.
 
     Returns
     -------
@@ -47,14 +39,15 @@ def refine_on_lines(
     origins = np.repeat(midpoints(target.endpoints)[matches[:, 1]], 2, axis=0)
     axes = np.repeat(directions(target.endpoints)[matches[:, 1]], 2, axis=0)
     T, H = T_target_source, np.zeros((6, 6))
+    units = _comparable_units(points)
     for _ in range(ITERATIONS):
         H, gradient = _normal_equations(T, points, origins, axes)
-        step = -_solve_where_fixed(H, gradient)
+        step = -_solve_where_fixed(H, gradient, units)
         T = T @ exp(step)
         if np.linalg.norm(step) < 1e-6:
             break
     T[:3, :3] = nearest_rotation(T[:3, :3])
-    return T, _drop_free_directions(H) / LINE_SIGMA_M**2
+    return T, _drop_free_directions(H, units) / LINE_SIGMA_M**2
 
 
 def line_distances_m(
@@ -86,19 +79,24 @@ def _normal_equations(
     return H, gradient
 
 
-def _spectrum(H: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    values, vectors = np.linalg.eigh(H)
+def _comparable_units(points: np.ndarray) -> np.ndarray:
+    """Return a step in each of the six directions that moves the points about equally far."""
+    lever_m = max(1.0, float(np.sqrt((points**2).sum() / max(1, len(points)))))
+    return np.repeat([1.0 / lever_m, 1.0], 3)
+
+
+def _spectrum(H: np.ndarray, units: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return eigenvalues and eigenvectors of the directions that are fixed, in these units."""
+    values, vectors = np.linalg.eigh(H * np.outer(units, units))
     fixed = values > FREE_SHARE * max(values[-1], 1e-12)
-    return values, vectors, fixed
+    return values[fixed], vectors[:, fixed]
 
 
-def _solve_where_fixed(H: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    values, vectors, fixed = _spectrum(H)
-    basis = vectors[:, fixed]
-    return basis @ ((basis.T @ gradient) / values[fixed])
+def _solve_where_fixed(H: np.ndarray, gradient: np.ndarray, units: np.ndarray) -> np.ndarray:
+    values, basis = _spectrum(H, units)
+    return units * (basis @ ((basis.T @ (units * gradient)) / values))
 
 
-def _drop_free_directions(H: np.ndarray) -> np.ndarray:
-    values, vectors, fixed = _spectrum(H)
-    basis = vectors[:, fixed]
-    return (basis * values[fixed]) @ basis.T
+def _drop_free_directions(H: np.ndarray, units: np.ndarray) -> np.ndarray:
+    values, basis = _spectrum(H, units)
+    return (basis * values) @ basis.T / np.outer(units, units)
