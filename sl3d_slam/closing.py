@@ -82,7 +82,7 @@ class LoopCloser:
     def _guesses(
         self, query_id: int, newest_id: int, estimates: Mapping[int, Transform]
     ) -> dict[int, Transform]:
-        """Return first guesses ``T_target_query`` by target, the most promising first."""
+        """Return first guesses ``T_target_query`` by target; by estimate where lines suggest none."""
         settings = self._config.loops
         query = self._prepared(query_id)
         verticals = query.verticals
@@ -92,12 +92,12 @@ class LoopCloser:
             target, pose = self._prepared(vote.view_id), np.array(vote.pose)
             if field_agreement(query, target, pose[None])[0] > settings.min_field_agreement:
                 guesses[vote.view_id] = lift(query, target, pose)
-        if query_id in estimates:
+        if not guesses and query_id in estimates:
             nearby = nearest_by_estimate(
                 query_id, newest_id, estimates, self._travelled_m, settings
             )
             if nearby is not None:
-                guesses.setdefault(nearby.view_id, nearby.T_view_query)
+                guesses[nearby.view_id] = nearby.T_view_query
         return guesses
 
     def _verify(

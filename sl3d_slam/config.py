@@ -78,7 +78,7 @@ class LoopSettings(Settings):
 
     enabled: bool = True
     min_travel_m: float = Field(default=40.0, gt=0)
-    max_candidates: int = Field(default=2, ge=1)
+    max_candidates: int = Field(default=1, ge=1)
     min_votes: int = Field(default=6, ge=1)
     min_field_agreement: float = Field(default=0.5, ge=-2, le=2)
     nearby_m: float = Field(default=12.0, gt=0)
