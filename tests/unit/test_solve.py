@@ -86,7 +86,7 @@ def test_poles_fix_the_plan_and_leave_the_height_alone(rng, reach_m):
     up_source = T[2, :3]  # the target's z axis in the source frame
     shift = moved[:3, 3] - up_source * (up_source @ moved[:3, 3])
     assert np.linalg.norm(shift) < 1e-3
-    assert np.linalg.norm(information @ np.r_[np.zeros(3), up_source]) < 1e-6
+    assert np.linalg.norm(information @ np.r_[np.zeros(3), up_source]) < 1e-3
     for axis in np.linalg.svd(up_source[None])[2][1:]:  # both directions across the poles
         assert np.linalg.norm(information @ np.r_[np.zeros(3), axis]) > 1.0
 

@@ -1,0 +1,111 @@
+"""Triangles of standing lines: what no change of view alters, and what a mirror does."""
+
+import numpy as np
+import pytest
+
+from sl3d_slam.loops.triangles import (
+    BIN_M,
+    NUM_HEADS,
+    all_triangles,
+    bucket,
+    insert,
+    local_triangles,
+    sides_m,
+    turns_left,
+)
+
+YAW, SHIFT = np.radians(137.0), np.array([31.0, -12.0])
+
+
+def move(xy):
+    c, s = np.cos(YAW), np.sin(YAW)
+    return xy @ np.array([[c, -s], [s, c]]).T + SHIFT
+
+
+def shapes(xy, triangles):
+    """Each triangle as its sides, its sense and its corners' places, in no order."""
+    found = set()
+    for i, j, k in triangles:
+        sides = tuple(np.round(sides_m(xy, i, j, k), 6))
+        found.add((*sides, turns_left(xy, i, j, k)))
+    return found
+
+
+@pytest.fixture
+def lines(rng):
+    return rng.uniform(-30, 30, (14, 2))
+
+
+@pytest.mark.parametrize(
+    "find", [lambda xy: local_triangles(xy, 6), lambda xy: all_triangles(xy, 0.0)]
+)
+def test_triangles_are_the_same_from_everywhere_and_in_any_order(lines, rng, find):
+    seen = shapes(lines, find(lines))
+    assert len(seen) > 20
+    assert shapes(move(lines), find(move(lines))) == seen
+    shuffled = lines[rng.permutation(len(lines))]
+    assert shapes(shuffled, find(shuffled)) == seen
+
+
+def test_a_mirror_image_has_the_same_sides_and_the_other_sense(lines):
+    seen = shapes(lines, all_triangles(lines, 0.0))
+    mirrored = lines * [1.0, -1.0]
+    reflected = shapes(mirrored, all_triangles(mirrored, 0.0))
+    assert not seen & reflected
+    assert {(a, b, c, 1 - left) for a, b, c, left in reflected} == seen
+
+
+def test_sides_run_from_long_to_short_and_stay_in_range(lines):
+    for i, j, k in all_triangles(lines, 0.0):
+        a, b, c = sides_m(lines, i, j, k)
+        assert 40.0 >= a >= b >= c >= 3.0
+        assert a + b + c >= 2.03 * a
+
+
+def test_one_triangle_by_hand():
+    xy = np.array([[0.0, 0.0], [0.0, 6.0], [8.0, 0.0]])  # sides 6, 8 and 10
+    assert sides_m(xy, 0, 1, 2) == (10.0, 8.0, 6.0)  # opposite the corners
+    assert turns_left(xy, 0, 1, 2) == 0
+    assert all_triangles(xy, 0.0).tolist() == [[0, 1, 2]]
+    assert local_triangles(xy, 9).tolist() == [[0, 1, 2]]
+
+
+def test_nearly_equal_sides_give_every_order_they_allow():
+    xy = np.array([[0.0, 0.0], [10.0, 0.0], [5.0, 8.7]])  # sides 10, 10.03, 10.03
+    assert len(all_triangles(xy, 0.35)) == 6
+    assert len(all_triangles(np.array([[0.0, 0.0], [0.0, 6.0], [8.0, 0.0]]), 0.35)) == 1
+
+
+@pytest.mark.parametrize(
+    "xy",
+    [
+        np.zeros((0, 2)),
+        np.array([[0.0, 0], [5, 0]]),
+        np.array([[0.0, 0], [5, 0], [12, 0.1]]),  # a sliver
+        np.array([[0.0, 0], [2, 0], [5, 5]]),  # two lines of one thing
+        np.array([[0.0, 0], [41, 0], [20, 20]]),  # too wide to be seen together
+    ],
+)
+def test_useless_triangles_are_left_out(xy):
+    assert len(all_triangles(xy, 0.0)) == 0
+    assert len(local_triangles(xy, 9)) == 0
+
+
+def test_every_triangle_goes_into_the_chain_of_its_own_slot(lines):
+    triangles = local_triangles(lines, 6)
+    heads, links = np.full(NUM_HEADS, -1, np.int32), np.full(500, -1, np.int32)
+    insert(heads, links, 7, lines, triangles)
+    for row, (i, j, k) in enumerate(triangles):
+        slot = bucket(*sides_m(lines, i, j, k), turns_left(lines, i, j, k), np.zeros(3, np.int64))
+        entry, chain = heads[slot], []
+        while entry >= 0:
+            chain.append(entry)
+            entry = links[entry]
+        assert 7 + row in chain
+
+
+def test_a_shift_by_one_cell_is_the_slot_of_the_neighbouring_sides():
+    shift = np.array([1, 0, -1])
+    near = bucket(20.1, 15.1, 9.1, 1, shift)
+    assert near == bucket(20.1 + BIN_M, 15.1, 9.1 - BIN_M, 1, np.zeros(3, np.int64))
+    assert near != bucket(20.1, 15.1, 9.1, 1, np.zeros(3, np.int64))
