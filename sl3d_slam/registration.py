@@ -35,7 +35,7 @@ CLEAR_MARGIN = 0.85  # the second place may have at most this share of the best 
 def register_lines(
     source: LineSet,
     target: LineSet,
-    clouds: tuple[Points, Points] | None = None,
+    clouds: tuple[np.ndarray, np.ndarray] | None = None,
     settings: MatchingSettings | None = None,
 ) -> Registration:
     """Find ``T_target_source`` from the lines of two scans, with no first guess.
@@ -46,13 +46,18 @@ def register_lines(
         degrees of tilt).
     clouds : (source_points, target_points), each (N, 3) metres in the same lidar frames: poses are
         then verified and refined densely. Without them the lines decide alone; parallel poles leave
-        height, roll and pitch free, which the information matrix shows.
+        the height free, and far or short ones roll and pitch too: the information shows it.
     settings : tolerances; defaults where None.
 
     Returns
     -------
     Registration, whose ``information`` is in GTSAM's order (rotation first) at the source frame;
     ``success=False`` carries a reason and no pose.
+
+    Raises
+    ------
+    InputError
+        where a cloud is no (N, 3) of finite numbers.
     """
     settings = settings or MatchingSettings()
     if clouds is None:
@@ -161,7 +166,7 @@ def _register_lines_alone(
     )
 
 
-def _checked_cloud(cloud: Points, name: str) -> Points:
+def _checked_cloud(cloud: np.ndarray, name: str) -> Points:
     points = np.asarray(cloud, np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"clouds: {name} has shape {points.shape}, expected (N, 3) in metres")

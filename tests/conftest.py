@@ -1,5 +1,6 @@
 """What many tests share: a seeded generator, the repository's root, real scans where present."""
 
+import lzma
 from pathlib import Path
 
 import numpy as np

@@ -1,0 +1,134 @@
+"""What counts against a refined pose, and that a no never carries one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sl3d_slam.config import MatchingSettings
+from sl3d_slam.geometry.se3 import from_yaw, invert, make_transform, rotation_between
+from sl3d_slam.matching.judge import Evidence, matched_lines, objection, refusal, to_registration
+from sl3d_slam.matching.prepared import PreparedView, flatten, lift
+from sl3d_slam.matching.views import make_view, pack, unpack, view_of_lines
+from sl3d_slam.matching.visibility import Visibility
+from sl3d_slam.types import LineSet, View
+
+SETTINGS = MatchingSettings()
+GOOD = Evidence(
+    T_target_source=from_yaw(2.0, np.array([3.0, -1.0, 0.2])),
+    information=np.diag([1e6] * 3 + [1e4] * 3).astype(float),
+    correction_m=0.3,
+    correction_rad=0.02,
+    overlap=0.6,
+    seen=Visibility(agree=3000, contradict=60),
+    matches=np.column_stack([np.arange(7), np.arange(7)[::-1]]),
+)
+SLIDING = np.diag([1e6, 1e6, 1e6, 0.0, 1e4, 1e4])
+
+
+def test_good_evidence_is_not_objected_to_and_becomes_an_answer():
+    assert objection(GOOD, SETTINGS) == ""
+    result = to_registration(GOOD, "")
+    assert result.success
+    assert result.T_target_source is GOOD.T_target_source
+    assert (result.num_inliers, result.overlap) == (7, 0.6)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"correction_m": 4.1}, "refinement left the guess by 4.1 m"),
+        ({"correction_rad": np.radians(11.0)}, "refinement left the guess"),
+        ({"overlap": 0.09}, "9% of the clouds overlap"),
+        ({"seen": Visibility(3000, 300)}, "sees through 9%"),
+        ({"seen": Visibility(0, 0)}, "sees through"),
+        ({"seen": Visibility(599, 0)}, "only 599 points agree"),
+        ({"matches": GOOD.matches[:3]}, "only 3 lines agree"),
+        ({"information": SLIDING}, "may slide"),
+    ],
+)
+def test_each_weakness_is_named_and_leaves_no_pose(change, word):
+    reason = objection(replace(GOOD, **change), SETTINGS)
+    assert word in reason
+    result = to_registration(replace(GOOD, **change), reason)
+    assert not result.success
+    assert result.T_target_source is None
+    assert not result.information.any()
+    assert result.reason == reason
+
+
+def test_a_refusal_has_a_reason_and_nothing_else():
+    result = refusal("nothing there")
+    assert (result.success, result.T_target_source, result.num_inliers) == (False, None, 0)
+    assert result.matches.shape == (0, 2)
+    assert result.reason == "nothing there"
+
+
+def test_a_contradiction_weighs_four_agreements():
+    stronger = replace(GOOD, seen=Visibility(1000, 10))
+    weaker = replace(GOOD, seen=Visibility(1030, 20))
+    assert stronger.strength > weaker.strength
+
+
+def leaning_view(xy, up):
+    """Poles and level ground 1.7 m below a sensor that leans: ``up`` is in its frame."""
+    T_lidar_level = make_transform(rotation_between(np.array([0, 0, 1.0]), up), np.zeros(3))
+    ends = [np.column_stack([xy, np.full(len(xy), z)]) for z in (-1.5, 2.5)]
+    empty = np.zeros((len(xy), 0), np.float32)
+    lines = LineSet(np.stack(ends, axis=1), empty, np.full(len(xy), 9, np.int64))
+    return lines.transformed(T_lidar_level), T_lidar_level
+
+
+def leaning_up(x, y):
+    return np.array([x, y, 1.0]) / np.linalg.norm([x, y, 1.0])
+
+
+@pytest.fixture
+def pair(rng):
+    """Two views of 9 poles, each leaning its own way; the truth is planar in level frames."""
+    truth = np.array([np.radians(130.0), 5.0, -8.0])
+    target_xy = rng.uniform(-30, 30, (9, 2))
+    c, s = np.cos(truth[0]), np.sin(truth[0])
+    source_xy = (target_xy - truth[1:]) @ np.array([[c, -s], [s, c]])
+    order = rng.permutation(9)
+    views = []
+    for xy, up in ((source_xy[order], leaning_up(0.1, 0.05)), (target_xy, leaning_up(-0.05, 0.12))):
+        lines, _ = leaning_view(xy, up)
+        views.append(PreparedView(view_of_lines(lines, up), SETTINGS))
+    return (*views, truth, order)
+
+
+def test_lines_that_a_pose_lays_on_each_other_are_named_by_their_rows(pair):
+    source, target, truth, order = pair
+    matches = matched_lines(source, target, lift(source, target, truth), 0.1)
+    assert matches.tolist() == [[row, int(order[row])] for row in range(9)]
+    assert len(matched_lines(source, target, invert(lift(source, target, truth)), 0.1)) < 9
+
+
+def test_flatten_undoes_lift(pair):
+    source, target, truth, _ = pair
+    np.testing.assert_allclose(flatten(source, target, lift(source, target, truth)), truth)
+
+
+def test_lift_lays_the_sources_ground_on_the_targets():
+    xy = np.stack(np.meshgrid(np.arange(-20, 20, 1.0), np.arange(-20, 20, 1.0)), -1).reshape(-1, 2)
+    up = np.array([0.0, 0.0, 1.0])
+
+    def view(ground_z):
+        cloud = np.c_[xy, np.full(len(xy), ground_z)].astype(np.float32)
+        none = LineSet(np.zeros((0, 2, 3)), np.zeros((0, 0), np.float32), np.zeros(0, np.int64))
+        return PreparedView(View(none, up, cloud, np.zeros(len(xy), np.float32)), SETTINGS)
+
+    low, high = view(-1.7), view(-2.5)  # sensors 1.7 m and 2.5 m above the street
+    T_low_high = lift(high, low, np.array([0.5, 3.0, -4.0]))
+    np.testing.assert_allclose(T_low_high[:3, 3], [3.0, -4.0, 0.8], atol=1e-6)
+
+
+def test_packing_keeps_a_view_to_the_centimetre(rng):
+    points = np.concatenate([rng.uniform(-60, 60, (3000, 3)) * [1, 1, 0.02]])
+    lines, _ = leaning_view(rng.uniform(-9, 9, (4, 2)), np.array([0, 0, 1.0]))
+    view = make_view(points, lines, 0.5)
+    again = unpack(pack(view))
+    np.testing.assert_allclose(again.cloud, view.cloud, atol=0.0051)
+    np.testing.assert_allclose(again.heights, view.heights, atol=0.01)
+    assert again.lines is lines
