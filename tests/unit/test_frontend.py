@@ -320,10 +320,12 @@ def test_a_saved_map_gets_a_frame_of_its_own(make_frontend, monkeypatch):
     assert refused[2] == "no lines"
     assert "contradicts 4 relocalizations" in refused[6]
     T_world_map = invert(ScriptedRelocalizer.T_map_world)
+    # prior and relocalizations are exact; only the odometry's drift of 6 mm a step disagrees
+    first = updates[4].initial.atPose3(gtsam.symbol("m", 7)).matrix()
+    np.testing.assert_allclose(first, T_world_map, atol=0.1)  # 60 m away: 1 mrad is 6 cm
     graph.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(TRUTH[0]), NOISE))
     solution = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     found = solution.atPose3(gtsam.symbol("m", 7)).matrix()
-    # prior and relocalizations are exact; only the odometry's drift of 6 mm a step disagrees
     np.testing.assert_allclose(found, T_world_map, atol=0.05)
     with pytest.raises(GraphError, match="expected one map"):
         frontend.localize_against(None)
