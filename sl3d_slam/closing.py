@@ -82,7 +82,7 @@ class LoopCloser:
     def _guesses(
         self, query_id: int, newest_id: int, estimates: Mapping[int, Transform]
     ) -> dict[int, Transform]:
-        """Return first guesses ``T_target_query`` by target; by estimate where lines suggest none."""
+        """Return first guesses ``T_target_query`` by target; by estimate where no line votes."""
         settings = self._config.loops
         query = self._prepared(query_id)
         verticals = query.verticals
@@ -106,7 +106,8 @@ class LoopCloser:
         query, target = self._prepared(query_id), self._prepared(target_id)
         evidence = gather_evidence(query, target, T_guess, self._config.matching)
         if evidence is None:
-            return Rejection(target_id, query_id, "a scan has too few points to verify a loop with")
+            reason = "a scan has too few points to verify a loop with"
+            return Rejection(target_id, query_id, reason, T_guess)
         reason = objection(evidence, self._config.matching)
         if reason:
             return Rejection(

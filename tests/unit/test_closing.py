@@ -1,0 +1,92 @@
+"""Loops between keyframes of a simulated street corner, and the refusals."""
+
+import numpy as np
+import pytest
+
+from sl3d_slam.closing import LoopCloser
+from sl3d_slam.config import load_config
+from sl3d_slam.geometry.se3 import (
+    distance_m,
+    from_yaw,
+    invert,
+    rotation_angle_rad,
+    transform_points,
+)
+from sl3d_slam.types import LineSet, LoopConstraint, Rejection, View
+
+
+@pytest.fixture(scope="module")
+def keyframes(ring_dataset):
+    """Scan 2, one on the far side of the block, and one a lap later, close to where 2 was."""
+    scans = {k: next(ring_dataset.iterate(k, k + 1)).points_lidar for k in (2, 20, 46)}
+    return scans, ring_dataset.truth
+
+
+def closer_with(scans, T_odom_lidar, **overrides):
+    closer = LoopCloser(load_config(None, [f"loops.{k}={v}" for k, v in overrides.items()]))
+    for keyframe_id, (index, points) in enumerate(scans.items()):
+        closer.add(keyframe_id, closer.make_view(points), T_odom_lidar[index])
+    return closer
+
+
+def test_a_revisit_is_found_by_lines_alone_whichever_way_the_sensor_faces(keyframes):
+    scans, truth = keyframes
+    T_turned_lidar = from_yaw(np.radians(-137.0), np.zeros(3))
+    turned = scans | {46: transform_points(T_turned_lidar, scans[46])}
+    (loop,) = closer_with(turned, truth, max_candidates=1).search(2, {})
+    assert isinstance(loop, LoopConstraint)
+    assert (loop.query_id, loop.target_id) == (2, 0)
+    T_truth = invert(truth[2]) @ truth[46] @ invert(T_turned_lidar)
+    T_error = invert(T_truth) @ loop.T_target_query
+    assert distance_m(T_error) < 0.2
+    assert np.degrees(rotation_angle_rad(T_error)) < 1.0
+    assert np.linalg.matrix_rank(loop.information) == 6
+    assert loop.num_inliers >= 4
+
+
+def test_nothing_is_a_revisit_before_40_m_of_travel(keyframes):
+    scans, truth = keyframes
+    slow = {2: truth[2], 20: truth[2] @ from_yaw(0.0, np.array([30.0, 0, 0])), 46: truth[2]}
+    closer = LoopCloser(load_config())
+    for keyframe_id, index in enumerate((2, 20)):
+        closer.add(keyframe_id, closer.make_view(scans[index]), slow[index])
+    assert closer.search(0, {}) == []
+    assert closer.search(1, {0: slow[2], 1: slow[2]}) == []
+
+
+def test_a_candidate_by_estimate_that_does_not_fit_is_rejected_with_its_pose(keyframes):
+    """The estimate says that the far side of the block is where the drive began."""
+    scans, truth = keyframes
+    odometry = {2: truth[2], 20: truth[2] @ from_yaw(0.0, np.array([50.0, 0, 0]))}
+    closer = LoopCloser(load_config(None, ["loops.min_votes=100000"]))
+    for keyframe_id, index in enumerate((2, 20)):
+        closer.add(keyframe_id, closer.make_view(scans[index]), odometry[index])
+    (outcome,) = closer.search(1, {0: truth[2], 1: truth[2]})
+    assert isinstance(outcome, Rejection)
+    assert (outcome.query_id, outcome.target_id) == (1, 0)
+    assert outcome.reason
+    assert outcome.T_target_query is not None
+
+
+def test_a_scan_with_next_to_nothing_in_it_is_rejected_with_the_pose_it_was_tried_at():
+    closer = LoopCloser(load_config())
+    nothing = LineSet(np.zeros((0, 2, 3)), np.zeros((0, 28), np.float32), np.zeros(0, np.int64))
+    few = np.random.default_rng(0).uniform(-9, 9, (60, 3)).astype(np.float32)
+    view = View(nothing, np.array([0.0, 0.0, 1.0]), few, np.ones(60, np.float32))
+    poses = [np.eye(4), from_yaw(0.3, np.array([60.0, 0.0, 0.0]))]
+    for keyframe_id, pose in enumerate(poses):
+        closer.add(keyframe_id, view, pose)
+    there = from_yaw(0.1, np.array([2.0, 0.0, 0.0]))
+    (outcome,) = closer.search(1, {0: np.eye(4), 1: there})
+    assert isinstance(outcome, Rejection)
+    assert "too few points" in outcome.reason
+    np.testing.assert_allclose(outcome.T_target_query, there)
+
+
+def test_what_is_kept_of_a_keyframe_is_its_view_to_the_centimetre(keyframes):
+    scans, truth = keyframes
+    closer = LoopCloser(load_config())
+    view = closer.make_view(scans[2])
+    closer.add(5, view, truth[2])
+    np.testing.assert_allclose(closer.view(5).cloud, view.cloud, atol=0.0051)
+    assert closer.view(5).lines is view.lines
