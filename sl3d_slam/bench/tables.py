@@ -10,6 +10,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from rich.markup import escape
 from rich.table import Table as RichTable
 
 from sl3d_slam import __version__
@@ -23,11 +24,15 @@ EMPTY = "-"
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column that people read: the key of the row, a heading, how a number is written."""
+    """A column that people read: the key of the row, a heading, how a number is written.
+
+    Those that are not ``main`` are left out on a terminal that is too narrow.
+    """
 
     key: str
     title: str
     form: str = "{}"
+    main: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,20 +84,21 @@ def to_markdown(table: Table) -> str:
 
 
 def to_rich(table: Table, width: int) -> RichTable:
-    """Return the table for a terminal of ``width`` characters; one that is too wide lies down."""
+    """Return the table for a terminal of ``width`` characters, with its main columns at least."""
+    if _needed_width(table) > width:
+        main = [column for column in table.columns if column.main]
+        table = Table(table.title, main, table.rows)
     shown = RichTable(title=table.title, title_justify="left")
-    titles, cells = [column.title for column in table.columns], _cells(table)
-    needed = sum(max(map(len, column)) + 3 for column in zip(titles, *cells, strict=True))
-    if needed < width:
-        for column in table.columns:
-            shown.add_column(column.title, justify="left" if column.form == "{}" else "right")
-        for row in cells:
-            shown.add_row(*row)
-        return shown
-    shown.show_header = False
-    for title, *values in zip(titles, *cells, strict=True):
-        shown.add_row(title, *values)
+    for column in table.columns:
+        shown.add_column(column.title, justify="left" if column.form == "{}" else "right")
+    for cells in _cells(table):
+        shown.add_row(*map(escape, cells))
     return shown
+
+
+def _needed_width(table: Table) -> int:
+    titles = [column.title for column in table.columns]
+    return 1 + sum(max(map(len, cells)) + 3 for cells in zip(titles, *_cells(table), strict=True))
 
 
 def draw_table(table: Table) -> bytes:

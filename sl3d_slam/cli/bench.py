@@ -61,6 +61,70 @@ def slam(
     _show([table], out, quiet)
 
 
+@bench.command("registration")
+def registration(
+    data: DataArguments,
+    out: OutOption,
+    dataset: DatasetOption = "auto",
+    sequences: SequencesOption = None,
+    distances: Annotated[str, typer.Option(help="Metres, comma-separated.")] = "10,20,30,40",
+    pairs: Annotated[int, typer.Option(min=1, help="Pairs for each distance.")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="Chooses pairs and turns.")] = 0,
+    peers: Annotated[
+        str, typer.Option(help="Comma-separated.")
+    ] = "kiss-matcher,fpfh-ransac,fgr,icp",
+    pair_list: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A public list of pairs instead.")
+    ] = None,
+    truth: Annotated[str, typer.Option(help="given, or odometry where GPS is off.")] = "given",
+    different: Annotated[
+        Path | None, typer.Option(metavar="DATA", help="A drive through other places.")
+    ] = None,
+    tilt: Annotated[float, typer.Option(min=0, max=45, help="Degrees of roll and pitch.")] = 0.0,
+    ransac_iterations: Annotated[
+        str, typer.Option(help="Iterations for a curve of RANSAC, comma-separated.")
+    ] = "",
+    config: ConfigOption = None,
+    overrides: SetOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Two scans some distance apart, no first guess, against KISS-Matcher and Open3D."""
+    from sl3d_slam.bench.registration import run
+    from sl3d_slam.bench.registration_plan import RegistrationBench, make_plan
+    from sl3d_slam.cli.progress import Meter
+    from sl3d_slam.config import load_config
+
+    what = RegistrationBench(
+        drives=[(str(path), dataset, name) for path in data for name in sequences or (None,)],
+        distances_m=_numbers("--distances", distances),
+        num_pairs=pairs,
+        seed=seed,
+        peers=_names(peers),
+        pair_list=pair_list,
+        different=None if different is None else (str(different), "auto", None),
+        truth=truth,
+        tilt_deg=tilt,
+        iterations=[int(n) for n in _numbers("--ransac-iterations", ransac_iterations)],
+        config=load_config(config, overrides or ()),
+    )
+    plan = make_plan(what)
+    with Meter(plan.num_pairs() * len(what.methods), "pairs", quiet) as meter:
+        table = run(what, plan, out, _command(), meter.advance)
+    _show([table], out, quiet)
+
+
+def _numbers(option: str, text: str) -> tuple[float, ...]:
+    from sl3d_slam.errors import InputError
+
+    try:
+        numbers = tuple(float(word) for word in _names(text))
+    except ValueError:
+        raise InputError(f"{option} {text}: expected numbers with commas between") from None
+    if any(not 0.0 < number < float("inf") for number in numbers):
+        raise InputError(f"{option} {text}: expected numbers above zero")
+    return numbers
+
+
 def _names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
