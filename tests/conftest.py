@@ -1,6 +1,8 @@
 """What many tests share: a seeded generator, the repository's root, real scans where present."""
 
 import lzma
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -83,3 +85,24 @@ def ring_dataset(ring_folder):
     from sl3d_slam.io.open import open_dataset
 
     return open_dataset(ring_folder, InputSettings())
+
+
+@pytest.fixture(scope="session")
+def sl3d():
+    """The command line in its own process, as a user runs it: ``sl3d("map", folder, ...)``."""
+
+    def run(*arguments):
+        command = [sys.executable, "-c", "from sl3d_slam.cli.main import main; main()"]
+        command += [str(argument) for argument in arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def ring_run(sl3d, ring_folder, tmp_path_factory):
+    """The folder that ``sl3d map`` leaves of the simulated drive."""
+    out = tmp_path_factory.mktemp("runs") / "ring"
+    result = sl3d("map", ring_folder, "--out", out, "--quiet")
+    assert result.returncode == 0, result.stderr
+    return out
