@@ -13,7 +13,6 @@ from jaxtyping import Float64
 from sl3d_slam.closing import LoopCloser
 from sl3d_slam.config import SlamConfig, dump_config
 from sl3d_slam.errors import InputError
-from sl3d_slam.geometry.se3 import Points
 from sl3d_slam.graph.final import optimise_all_scans
 from sl3d_slam.graph.pose_graph import PoseGraph
 from sl3d_slam.io.points import usable
@@ -56,8 +55,8 @@ class SlamPipeline:
 
     def process_scan(
         self,
-        points_lidar: Points,
-        stamps: Float64[np.ndarray, "N"] | None = None,
+        points_lidar: np.ndarray,
+        stamps: np.ndarray | None = None,
         stamp_s: float | None = None,
     ) -> RegisteredScan:
         """Take the next scan: (N, 3) metres in the lidar frame.
@@ -71,7 +70,7 @@ class SlamPipeline:
         if points.ndim != 2 or points.shape[1] != 3:
             raise InputError(f"scan {index}: shape {points.shape}, expected (N, 3) in metres")
         keep = usable(points, self.config.input, f"scan {index}")
-        times = None if stamps is None else np.asarray(stamps, np.float64)[keep]
+        times = None if stamps is None else _checked_stamps(stamps, len(points), index)[keep]
         if stamp_s is None:
             stamp_s = self._stamps_s[-1] + 0.1 if self._stamps_s else 0.0
         return self.process(Scan(index, stamp_s, np.ascontiguousarray(points[keep]), times))
@@ -178,3 +177,13 @@ class SlamPipeline:
         start_s = time.perf_counter()
         yield
         self._times.add(stage, time.perf_counter() - start_s)
+
+
+def _checked_stamps(stamps: np.ndarray, count: int, index: int) -> Float64[np.ndarray, "N"]:
+    times = np.asarray(stamps, np.float64)
+    if times.shape != (count,) or not np.isfinite(times).all():
+        raise InputError(
+            f"scan {index}: stamps of shape {times.shape} for {count} points; "
+            "expected a finite time in seconds for each point"
+        )
+    return times

@@ -6,7 +6,7 @@ import numpy as np
 
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
-from sl3d_slam.geometry.se3 import Points, Transform, distance_m, invert, rotation_angle_rad
+from sl3d_slam.geometry.se3 import Transform, distance_m, invert, rotation_angle_rad
 from sl3d_slam.lines.extract import LineExtractor
 from sl3d_slam.loops.constellations import ConstellationIndex, PlaceVote
 from sl3d_slam.mapping.line_map import LineMap
@@ -61,7 +61,7 @@ class Relocalizer:
             verticals = self._place(int(keyframe)).verticals
             self._index.add(int(keyframe), verticals.xy, verticals.weights)
 
-    def relocalize(self, points_lidar: Points) -> Relocalization:
+    def relocalize(self, points_lidar: np.ndarray) -> Relocalization:
         """Find the pose of a scan (N, 3), metres in the lidar frame, in the map.
 
         Returns
@@ -71,7 +71,7 @@ class Relocalizer:
         Raises
         ------
         InputError
-            where the points are no scan.
+            where the points are no (N, 3) of finite floats, or fewer than 50.
         """
         lines = self._extractor.extract(points_lidar)
         view = make_view(

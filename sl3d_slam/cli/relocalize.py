@@ -24,12 +24,17 @@ def relocalize(
     """Find scans in a saved line map. Status 1 where any of them is not found."""
     from sl3d_slam.cli.progress import Meter
     from sl3d_slam.config import load_config
+    from sl3d_slam.errors import InputError
     from sl3d_slam.io.open import read_scan
     from sl3d_slam.mapping.line_map import LineMap
     from sl3d_slam.relocalizer import Relocalizer
 
     settings = load_config(config, overrides or ())
-    relocalizer = Relocalizer(LineMap.load(line_map), settings)
+    loaded = LineMap.load(line_map)
+    try:
+        relocalizer = Relocalizer(loaded, settings)
+    except InputError as error:
+        raise InputError(f"{line_map}: {error}") from None
     answers = []
     with Meter(len(scans), quiet=quiet or json) as meter:
         for path in scans:

@@ -62,10 +62,11 @@ def raise_elevation(points: Points, angle_deg: float) -> Points:
     horizontal = np.hypot(points[:, 0], points[:, 1])
     z = points[:, 2]
     on_axis = horizontal == 0.0
-    scale = (horizontal * cosine - z * sine) / np.where(on_axis, 1.0, horizontal)
     turned = np.empty_like(points)
-    turned[:, :2] = points[:, :2] * scale[:, None]
-    turned[:, 2] = z * cosine + horizontal * sine
+    with np.errstate(invalid="ignore"):  # infinite coordinates become NaN, and are left out later
+        scale = (horizontal * cosine - z * sine) / np.where(on_axis, 1.0, horizontal)
+        turned[:, :2] = points[:, :2] * scale[:, None]
+        turned[:, 2] = z * cosine + horizontal * sine
     turned[on_axis] = points[on_axis]
     return turned
 

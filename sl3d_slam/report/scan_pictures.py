@@ -35,6 +35,8 @@ PAGE_IN = 13.0
 GROUND_SHADE = 0.1
 LOWEST_DEG = -14.0
 
+TwoClouds = tuple[Float64[np.ndarray, "S 3"], Float64[np.ndarray, "T 3"]]  # source, target
+
 
 def draw_lines(points_lidar: Points, lines: LineSet, title: str) -> bytes:
     """Return a PNG: a scan and its lines from above and all around as the sensor sees them."""
@@ -50,7 +52,7 @@ def draw_lines(points_lidar: Points, lines: LineSet, title: str) -> bytes:
 
 
 def draw_registration(
-    clouds: tuple[Points, Points],
+    clouds: TwoClouds,
     lines: tuple[LineSet, LineSet],
     matches: Int64[np.ndarray, "M 2"],
     T_target_source: Transform | None,
@@ -84,7 +86,7 @@ def draw_registration(
 
 def _draw_both(
     axes: Any,
-    clouds: tuple[Points, Points],
+    clouds: TwoClouds,
     lines: tuple[LineSet, LineSet],
     T_target_source: Transform,
 ) -> None:
