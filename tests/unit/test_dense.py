@@ -91,6 +91,24 @@ def test_free_directions_stay_zero_and_fixed_ones_are_bounded():
     np.testing.assert_allclose(information, information.T)
 
 
+def corridor(rng, count=20_000):
+    """The floor and two walls of a long bare street."""
+    a, b = rng.uniform(0, 1, (2, count))
+    part = rng.integers(0, 3, count)
+    floor = np.c_[120 * a - 60, 16 * b - 8, np.full(count, -1.7)]
+    left, right = (np.c_[120 * a - 60, np.full(count, y), 6 * b - 1.7] for y in (8.0, -8.0))
+    return np.choose(part[:, None], [floor, left, right])
+
+
+def test_along_a_bare_corridor_nothing_is_held():
+    """GICP itself ends wherever it started, and its Hessian would vouch for it."""
+    target, source = clouds(corridor, T_TARGET_SOURCE)
+    information = information_of(align(target, source, T_TARGET_SOURCE))
+    assert np.linalg.matrix_rank(information) == 5
+    along, across = information[3, 3], information[4, 4]  # the corridor runs along the source's x
+    assert along < 0.01 * across
+
+
 def test_more_evidence_never_means_less_information():
     weak, strong = (
         information_of(DenseAlignment(np.eye(4), scale * np.diag([1e6] * 3 + [1e4] * 3), 1.0))
