@@ -5,6 +5,7 @@ leaves ``answer.json``, and adds a byte to ``progress`` for each step done.
 """
 
 import json
+import re
 import subprocess
 import sys
 import time
@@ -19,6 +20,7 @@ from sl3d_slam.io.json_files import write_json
 
 TASK, ANSWER, PROGRESS = "task.json", "answer.json", "progress"
 POLL_S = 0.2
+_ERROR = re.compile(r"[\w.]*(Error|Exception)\b")
 
 Steps = Callable[[int], None]
 
@@ -44,14 +46,19 @@ def ending(folder: Path, exit_status: int, log: str, wall_s: float) -> Ending:
     """Read what a process left; one that died is named with its last words."""
     path = folder / ANSWER
     if exit_status != 0 or not path.is_file():
-        lines = [line.strip() for line in log.splitlines() if line.strip()]
-        last = lines[-1][:200] if lines else "it said nothing"
         how = f"killed by signal {-exit_status}" if exit_status < 0 else f"status {exit_status}"
-        return Ending(f"failed ({how}): {last}", wall_s)
+        return Ending(f"failed ({how}): {_last_words(log)}", wall_s)
     tree = json.loads(path.read_text(encoding="utf-8"))
     if "error" in tree:
         return Ending(str(tree["error"]), wall_s)
     return Ending("", wall_s, tree)
+
+
+def _last_words(log: str) -> str:
+    """Return the last line that names an error, else the last line."""
+    lines = [line.rstrip() for line in log.splitlines() if line.strip()]
+    errors = [line for line in lines if _ERROR.match(line)]
+    return (errors or lines or ["it said nothing"])[-1].strip()[:200]
 
 
 def serve(folder: Path, work: Callable[[Any, Path, Callable[[], None]], Any]) -> None:

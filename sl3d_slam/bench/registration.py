@@ -61,7 +61,7 @@ def _attempts(
         "method": method,
         "config": bench.config.model_dump(),
         "seed": bench.seed,
-        "drives": plan.places,
+        "drives": {key: asdict(drive) for key, drive in plan.places.items()},
         "pairs": [asdict(pair) for group in plan.groups for pair in group.pairs],
     }
     with tempfile.TemporaryDirectory(prefix="sl3d_bench_") as folder:

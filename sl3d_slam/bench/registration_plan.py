@@ -1,21 +1,19 @@
 """Which pairs ``bench registration`` registers: how they are asked for, and the choice."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
+from sl3d_slam.bench.drives import Drive
 from sl3d_slam.bench.pairs import Poses, ScanPair, choose_pairs, random_turn, read_pair_list
 from sl3d_slam.bench.registration_methods import OURS, PEERS
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import Transform, invert
 from sl3d_slam.io.dataset import Dataset
-from sl3d_slam.io.open import open_dataset
 from sl3d_slam.odometry import Odometry
-
-Place = tuple[str, str, str | None]  # path, kind of dataset, sequence
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +22,7 @@ class RegistrationBench:
 
     Attributes
     ----------
-    drives : path, kind and sequence of each drive that pairs come from.
+    drives : what pairs come from.
     distances_m : how far apart the scans of a pair are, within 1 m.
     num_pairs : pairs for each distance, over all drives together.
     pair_list : a public list of pairs, taken in place of ``distances_m``; ``drives`` then holds one
@@ -36,13 +34,13 @@ class RegistrationBench:
     iterations : RANSAC with so many iterations each, for a curve.
     """
 
-    drives: Sequence[Place]
+    drives: Sequence[Drive]
     distances_m: Sequence[float] = (10.0, 20.0, 30.0, 40.0)
     num_pairs: int = 200
     seed: int = 0
     peers: Sequence[str] = PEERS
     pair_list: Path | None = None
-    different: Place | None = None
+    different: Drive | None = None
     truth: str = "given"
     tilt_deg: float = 0.0
     iterations: Sequence[int] = ()
@@ -66,7 +64,7 @@ class PairGroup:
 class Plan:
     """All pairs of a benchmark and the drives that their scans come from."""
 
-    places: Mapping[int, Place]
+    places: Mapping[int, Drive]
     groups: Sequence[PairGroup]
     simulated: bool
 
@@ -91,7 +89,7 @@ def make_plan(bench: RegistrationBench) -> Plan:
     rng = np.random.default_rng(bench.seed)
     if bench.pair_list is not None:
         return _listed(bench, bench.pair_list, rng)
-    opened = [_open(place, bench.config) for place in bench.drives]
+    opened = [drive.open(bench.config.input) for drive in bench.drives]
     poses = [_poses(drive, bench) for drive in opened]
     groups = [
         PairGroup(f"{distance_m:g} m", _apart(poses, distance_m, bench, rng))
@@ -100,7 +98,7 @@ def make_plan(bench: RegistrationBench) -> Plan:
     places = dict(enumerate(bench.drives))
     if bench.different is not None:
         places[len(places)] = bench.different
-        other = _open(bench.different, bench.config)
+        other = bench.different.open(bench.config.input)
         groups.append(PairGroup("different places", _different(opened, other, bench, rng)))
     return Plan(places, groups, any(drive.simulated for drive in opened))
 
@@ -108,7 +106,6 @@ def make_plan(bench: RegistrationBench) -> Plan:
 def _listed(bench: RegistrationBench, path: Path, rng: np.random.Generator) -> Plan:
     if len(bench.drives) != 1:
         raise InputError(f"{path}: a list of pairs needs one KITTI root with its sequences")
-    data, kind, _ = bench.drives[0]
     pairs = [
         ScanPair(first, i, second, j, T, *_turns(bench, rng))
         for first, i, second, j, T in read_pair_list(path)
@@ -117,8 +114,10 @@ def _listed(bench: RegistrationBench, path: Path, rng: np.random.Generator) -> P
         chosen = np.sort(rng.choice(len(pairs), bench.num_pairs, replace=False))
         pairs = [pairs[k] for k in chosen]
     numbers = sorted({n for pair in pairs for n in (pair.source_drive, pair.target_drive)})
-    places: dict[int, Place] = {number: (data, kind, f"{number:02d}") for number in numbers}
-    opened = [_open(place, bench.config) for place in places.values()]
+    places: dict[int, Drive] = {
+        number: replace(bench.drives[0], sequence=f"{number:02d}") for number in numbers
+    }
+    opened = [drive.open(bench.config.input) for drive in places.values()]
     simulated = any(drive.simulated for drive in opened)
     return Plan(places, [PairGroup(path.stem, pairs)], simulated)
 
@@ -157,11 +156,6 @@ def _different(
 def _turns(bench: RegistrationBench, rng: np.random.Generator) -> tuple[Transform, Transform]:
     source = random_turn(rng, True, bench.tilt_deg)
     return source, random_turn(rng, False, bench.tilt_deg)
-
-
-def _open(place: Place, config: SlamConfig) -> Dataset:
-    data, kind, sequence = place
-    return open_dataset(Path(data), config.input, kind, sequence)
 
 
 def _poses(drive: Dataset, bench: RegistrationBench) -> Poses:

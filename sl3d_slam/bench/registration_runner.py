@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from sl3d_slam.bench.drives import Drive
 from sl3d_slam.bench.pairs import ScanPair
 from sl3d_slam.bench.process import serve
 from sl3d_slam.bench.registration_methods import Attempt, Method, make_method
@@ -19,7 +20,6 @@ from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import Points, transform_points
 from sl3d_slam.io.dataset import Dataset
-from sl3d_slam.io.open import open_dataset
 
 KEPT_SCANS = 16
 WARM_UP_PAIRS = 2
@@ -30,10 +30,7 @@ def run_task(tree: dict[str, Any], folder: Path, step: Callable[[], None]) -> di
     config = SlamConfig.model_validate(tree["config"])
     method = make_method(tree["method"], config, tree["seed"])
     pairs = [to_pair(entry) for entry in tree["pairs"]]
-    drives = {
-        int(key): open_dataset(Path(data), config.input, kind, sequence)
-        for key, (data, kind, sequence) in tree["drives"].items()
-    }
+    drives = {int(key): Drive(**drive).open(config.input) for key, drive in tree["drives"].items()}
     read = _reader(drives)
     for pair in pairs[:WARM_UP_PAIRS]:
         attempt(method, pair, read)

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from sl3d_slam.bench.drives import Drive
 from sl3d_slam.bench.slam_figures import COLUMNS, NOTES, accuracy, growth
 from sl3d_slam.bench.slam_pictures import draw_bars, draw_paths, draw_series
 from sl3d_slam.bench.slam_process import Answer, run_in_process
-from sl3d_slam.bench.slam_runner import SlamTask
 from sl3d_slam.bench.systems import OURS, PEERS
 from sl3d_slam.bench.tables import Row, Table, write_tables
 from sl3d_slam.config import SlamConfig
@@ -24,32 +24,20 @@ Progress = Callable[[str, int], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
-    """One sequence: where it is and, where a dataset has several, which."""
-
-    data: Path
-    sequence: str | None = None
-    dataset: str = "auto"
-
-
-@dataclass(frozen=True, slots=True)
 class SlamBench:
-    """What is compared, on how much of each drive, driven how.
+    """What is compared: the drives, the other systems (keys of ``PEERS``), our settings.
 
-    Attributes
-    ----------
-    drives : the sequences.
-    peers : the other systems, keys of ``PEERS``.
-    scans : only the first so many of each drive; with ``out_and_back`` of the one-way drive.
-    out_and_back : turn each drive into one that comes back (:mod:`sl3d_slam.bench.outback`).
-    config : settings of this package; the peers run with their own defaults.
+    The peers run with their own defaults.
     """
 
     drives: Sequence[Drive]
     peers: Sequence[str] = tuple(PEERS)
-    scans: int | None = None
-    out_and_back: bool = False
     config: SlamConfig = field(default_factory=SlamConfig)
+
+    def num_steps(self) -> int:
+        """Return how many scans all systems together will process. Raises InputError."""
+        counts = [drive.count(drive.open(self.config.input)) for drive in self.drives]
+        return sum(counts) * (1 + len(self.peers))
 
 
 def run(
@@ -76,10 +64,12 @@ def run(
     prepare_run_folder(out)
     rows: list[Row] = []
     for number, drive in enumerate(bench.drives):
-        tasks = [_task(bench, drive, system) for system in (OURS, *bench.peers)]
-        opened = tasks[0].open()
-        truth = None if opened.truth is None else opened.truth[: tasks[0].num_scans(opened)]
-        answers = {task.system: run_in_process(task, progress) for task in tasks}
+        opened = drive.open(bench.config.input)
+        truth = None if opened.truth is None else opened.truth[: drive.count(opened)]
+        answers = {
+            system: run_in_process(system, drive, bench.config, progress)
+            for system in (OURS, *bench.peers)
+        }
         rows += [_row(opened, name, answer, truth) for name, answer in answers.items()]
         title = f"{opened.name}{' (simulated)' if opened.simulated else ''}"
         name = f"slam_{number}_{opened.name.replace(' ', '_')}"
@@ -89,27 +79,6 @@ def run(
     write_tables(out, "slam", [table], command)
     write_whole(out / "slam.png", draw_bars(rows))
     return table
-
-
-def num_steps(bench: SlamBench) -> int:
-    """Return how many scans all systems together will process. Raises InputError."""
-    total = 0
-    for drive in bench.drives:
-        task = _task(bench, drive, OURS)
-        total += task.num_scans(task.open()) * (1 + len(bench.peers))
-    return total
-
-
-def _task(bench: SlamBench, drive: Drive, system: str) -> SlamTask:
-    return SlamTask(
-        system=system,
-        data=str(drive.data.resolve()),
-        dataset=drive.dataset,
-        sequence=drive.sequence,
-        scans=bench.scans,
-        out_and_back=bench.out_and_back,
-        config=bench.config.model_dump(),
-    )
 
 
 def _row(opened: Dataset, system: str, answer: Answer, truth: np.ndarray | None) -> Row:

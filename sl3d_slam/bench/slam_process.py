@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
+from sl3d_slam.bench.drives import Drive
 from sl3d_slam.bench.process import run_runner
-from sl3d_slam.bench.slam_runner import ARRAYS, SlamTask, read_loops
+from sl3d_slam.bench.slam_runner import ARRAYS, read_loops
+from sl3d_slam.config import SlamConfig
 from sl3d_slam.types import LoopRecord
 
 RUNNER = "sl3d_slam.bench.slam_runner"
@@ -35,11 +37,14 @@ class Answer:
     map_bytes: int | None = None
 
 
-def run_in_process(task: SlamTask, progress: Callable[[str, int], None]) -> Answer:
-    """Run one task in a new Python process and wait for it."""
+def run_in_process(
+    system: str, drive: Drive, config: SlamConfig, progress: Callable[[str, int], None]
+) -> Answer:
+    """Run one system over a drive in a new Python process and wait for it."""
+    task = {"system": system, "drive": asdict(drive), "config": config.model_dump()}
     with tempfile.TemporaryDirectory(prefix="sl3d_bench_") as name:
         folder = Path(name)
-        end = run_runner(RUNNER, folder, asdict(task), lambda n: progress(task.system, n))
+        end = run_runner(RUNNER, folder, task, lambda steps: progress(system, steps))
         if end.problem:
             return Answer(end.problem)
         with np.load(folder / ARRAYS, allow_pickle=False) as arrays:

@@ -6,56 +6,30 @@ A runner as :mod:`sl3d_slam.bench.process` describes it; a step is a scan.
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sl3d_slam.bench.drives import Drive
 from sl3d_slam.bench.memory import own_peak_mb, rss_mb
-from sl3d_slam.bench.outback import out_and_back
 from sl3d_slam.bench.process import serve
 from sl3d_slam.bench.systems import make_system
 from sl3d_slam.config import SlamConfig
-from sl3d_slam.io.dataset import Dataset
-from sl3d_slam.io.open import open_dataset
 from sl3d_slam.types import LoopRecord
 
 ARRAYS = "run.npz"
 
 
-@dataclass(frozen=True, slots=True)
-class SlamTask:
-    """What one process has to do; ``config`` is the content of a settings file."""
-
-    system: str
-    data: str
-    dataset: str
-    sequence: str | None
-    scans: int | None
-    out_and_back: bool
-    config: dict[str, Any]
-
-    def open(self) -> Dataset:
-        """Open the sequence, cut and turned as the task says."""
-        settings = SlamConfig.model_validate(self.config)
-        opened = open_dataset(Path(self.data), settings.input, self.dataset, self.sequence)
-        return out_and_back(opened, self.scans) if self.out_and_back else opened
-
-    def num_scans(self, opened: Dataset) -> int:
-        """Return how many scans are processed."""
-        limited = None if self.out_and_back else self.scans
-        return len(opened) if limited is None else min(limited, len(opened))
-
-
 def run_task(tree: dict[str, Any], folder: Path, step: Callable[[], None]) -> dict[str, Any]:
     """Run the system, timing its own work only; arrays go to a file, the rest is returned."""
-    task = SlamTask(**tree)
-    system = make_system(task.system, SlamConfig.model_validate(task.config))
-    opened = task.open()
+    config = SlamConfig.model_validate(tree["config"])
+    system = make_system(tree["system"], config)
+    drive = Drive(**tree["drive"])
     taken_ms, resident_mb = [], [rss_mb()]
     start_s = time.perf_counter()
-    for scan in opened.iterate(0, task.num_scans(opened)):
+    for scan in drive.stream(drive.open(config.input)):
         before_s = time.perf_counter()
         system.process(scan)
         taken_ms.append(1e3 * (time.perf_counter() - before_s))

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
@@ -30,6 +30,7 @@ class Outcome:
     map_bytes: int | None = None
 
 
+@runtime_checkable
 class System(Protocol):
     """A SLAM system: scans one by one, then the outcome."""
 
@@ -72,7 +73,7 @@ class KissIcpSystem:
 
     def process(self, scan: Scan) -> None:
         """Take the next scan."""
-        self._odometry.register_frame(scan.points_lidar, _point_times_s(scan))
+        self._odometry.register_frame(scan.points_lidar, point_times_s(scan))
         self._poses.append(self._odometry.last_pose.copy())
 
     def finish(self) -> Callable[[], Outcome]:
@@ -95,7 +96,7 @@ class KissSlamSystem:
 
     def process(self, scan: Scan) -> None:
         """Take the next scan; the scan that ends a local map is the frame of the one after."""
-        self._slam.process_scan(scan.points_lidar, _point_times_s(scan))
+        self._slam.process_scan(scan.points_lidar, point_times_s(scan))
         self._first_scan_of_map.setdefault(int(self._slam.local_map_graph.last_id), scan.index)
 
     def finish(self) -> Callable[[], Outcome]:
@@ -155,7 +156,7 @@ def make_system(name: str, config: SlamConfig) -> System:
     return PEERS[name]()
 
 
-def _point_times_s(scan: Scan) -> Float64[np.ndarray, "M"]:
+def point_times_s(scan: Scan) -> Float64[np.ndarray, "M"]:
     """Return point times that KISS-ICP's deskewing can bear: it aborts where all are equal."""
     times_s = scan.point_times_s
     if times_s is None or np.ptp(times_s) <= 0.0:

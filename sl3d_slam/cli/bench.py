@@ -30,6 +30,9 @@ SequencesOption = Annotated[
     list[str] | None,
     typer.Option("--sequence", metavar="NN", help="KITTI sequence; may be repeated."),
 ]
+OutAndBackOption = Annotated[
+    bool, typer.Option("--out-and-back", help="Turn one-way drives into ones that come back.")
+]
 
 
 @bench.command("slam")
@@ -40,23 +43,24 @@ def slam(
     sequences: SequencesOption = None,
     scans: ScansOption = None,
     peers: Annotated[str, typer.Option(help="Comma-separated.")] = "kiss-slam,kiss-icp",
-    out_and_back: Annotated[
-        bool, typer.Option("--out-and-back", help="Turn one-way drives into revisits.")
-    ] = False,
+    out_and_back: OutAndBackOption = False,
     config: ConfigOption = None,
     overrides: SetOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Whole drives against kiss-slam and KISS-ICP: accuracy, loops, time, memory."""
-    from sl3d_slam.bench.slam import Drive, SlamBench, num_steps, run
+    from sl3d_slam.bench.drives import Drive
+    from sl3d_slam.bench.slam import SlamBench, run
     from sl3d_slam.cli.progress import Meter
     from sl3d_slam.config import load_config
 
-    drives = [Drive(path, name, dataset) for path in data for name in sequences or (None,)]
-    what = SlamBench(
-        drives, _names(peers), scans, out_and_back, load_config(config, overrides or ())
-    )
-    with Meter(num_steps(what), quiet=quiet) as meter:
+    drives = [
+        Drive(str(path.resolve()), name, dataset, scans, out_and_back)
+        for path in data
+        for name in sequences or (None,)
+    ]
+    what = SlamBench(drives, _names(peers), load_config(config, overrides or ()))
+    with Meter(what.num_steps(), quiet=quiet) as meter:
         table = run(what, out, _command(), meter.advance)
     _show([table], out, quiet)
 
@@ -89,19 +93,24 @@ def registration(
     quiet: QuietOption = False,
 ) -> None:
     """Two scans some distance apart, no first guess, against KISS-Matcher and Open3D."""
+    from sl3d_slam.bench.drives import Drive
     from sl3d_slam.bench.registration import run
     from sl3d_slam.bench.registration_plan import RegistrationBench, make_plan
     from sl3d_slam.cli.progress import Meter
     from sl3d_slam.config import load_config
 
     what = RegistrationBench(
-        drives=[(str(path), dataset, name) for path in data for name in sequences or (None,)],
+        drives=[
+            Drive(str(path.resolve()), name, dataset)
+            for path in data
+            for name in sequences or (None,)
+        ],
         distances_m=_numbers("--distances", distances),
         num_pairs=pairs,
         seed=seed,
         peers=_names(peers),
         pair_list=pair_list,
-        different=None if different is None else (str(different), "auto", None),
+        different=None if different is None else Drive(str(different.resolve())),
         truth=truth,
         tilt_deg=tilt,
         iterations=[int(n) for n in _numbers("--ransac-iterations", ransac_iterations)],
@@ -111,6 +120,73 @@ def registration(
     with Meter(plan.num_pairs() * len(what.methods), "pairs", quiet) as meter:
         table = run(what, plan, out, _command(), meter.advance)
     _show([table], out, quiet)
+
+
+@bench.command("loops")
+def loops(
+    data: DataArguments,
+    out: OutOption,
+    dataset: DatasetOption = "auto",
+    sequences: SequencesOption = None,
+    scans: ScansOption = None,
+    peers: Annotated[str, typer.Option(help="Comma-separated.")] = "map-closures",
+    out_and_back: OutAndBackOption = False,
+    config: ConfigOption = None,
+    overrides: SetOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Precision and recall of loops, same direction and reverse, against MapClosures."""
+    from sl3d_slam.bench.drives import Drive
+    from sl3d_slam.bench.loops import LoopBench, run
+    from sl3d_slam.cli.progress import Meter
+    from sl3d_slam.config import load_config
+
+    drives = [
+        Drive(str(path.resolve()), name, dataset, scans, out_and_back)
+        for path in data
+        for name in sequences or (None,)
+    ]
+    what = LoopBench(drives, _names(peers), load_config(config, overrides or ()))
+    with Meter(what.num_steps(), quiet=quiet) as meter:
+        table = run(what, out, _command(), meter.advance)
+    _show([table], out, quiet)
+
+
+@bench.command("backend")
+def backend(
+    out: OutOption,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A minute instead of half an hour.")
+    ] = False,
+    trajectory: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Drive along this KITTI pose file.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of drift and loops.")] = 1,
+    quiet: QuietOption = False,
+) -> None:
+    """Pose-graph back ends against false loops; simulated."""
+    from sl3d_slam.bench.backend import run
+
+    run(out, quick, trajectory, seed)
+    if not quiet:
+        typer.echo((out / "backend.md").read_text(encoding="utf-8"))
+        typer.echo(f"results in {out}")
+
+
+@bench.command("all")
+def everything(
+    out: OutOption,
+    quick: Annotated[bool, typer.Option("--quick", help="A small town; minutes.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed, another town.")] = 0,
+    quiet: QuietOption = False,
+) -> None:
+    """Run every benchmark once, on a drive simulated for it."""
+    from sl3d_slam.bench.everything import run
+    from sl3d_slam.cli.progress import Meter
+
+    with Meter(None, "steps", quiet) as meter:
+        tables = run(out, quick, seed, _command(), meter.advance)
+    _show(tables, out, quiet)
 
 
 def _numbers(option: str, text: str) -> tuple[float, ...]:

@@ -1,0 +1,74 @@
+"""``sl3d bench all``: every benchmark once, on one simulated drive, with no data needed."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from sl3d_slam.bench import backend, loops, registration, slam
+from sl3d_slam.bench.drives import Drive
+from sl3d_slam.bench.registration_plan import RegistrationBench, make_plan
+from sl3d_slam.bench.tables import Table
+from sl3d_slam.files import prepare_run_folder
+from sl3d_slam.simulation.drive import plan_drive
+from sl3d_slam.simulation.roads import builtin_road
+from sl3d_slam.simulation.town import build_town
+from sl3d_slam.simulation.write import Layout, write_drive
+
+Progress = Callable[[str, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """How much is done: the road, the sensor, pairs at each distance, those distances."""
+
+    road: str
+    sensor: str
+    num_pairs: int
+    distances_m: tuple[float, ...]
+
+
+QUICK = Extent("demo", "hdl32", 10, (10.0, 20.0))
+FULL = Extent("loop", "hdl64", 50, (10.0, 20.0, 30.0, 40.0))
+
+
+def run(
+    out: Path,
+    quick: bool,
+    seed: int = 0,
+    command: str = "sl3d bench all",
+    progress: Progress = lambda note, steps: None,
+) -> list[Table]:
+    """Simulate a drive into ``out/data`` where it is not yet, and run every benchmark on it.
+
+    Each benchmark gets a folder of its own in ``out``. ``quick`` takes a small town, so that local
+    maps of 100 m, which MapClosures and kiss-slam need for a loop, hardly occur.
+
+    Raises
+    ------
+    OutputError
+        where ``out`` cannot be written.
+    """
+    extent = QUICK if quick else FULL
+    prepare_run_folder(out)
+    drive = _simulated(out / "data", extent, seed, progress)
+    pairs = RegistrationBench(
+        drives=[drive], distances_m=extent.distances_m, num_pairs=extent.num_pairs, seed=seed
+    )
+    tables = [
+        slam.run(slam.SlamBench([drive]), out / "slam", command, progress),
+        registration.run(pairs, make_plan(pairs), out / "registration", command, progress),
+        loops.run(loops.LoopBench([drive]), out / "loops", command, progress),
+    ]
+    progress("backend", 0)
+    backend.run(out / "backend", quick)
+    return tables
+
+
+def _simulated(root: Path, extent: Extent, seed: int, progress: Progress) -> Drive:
+    """Return the drive, simulated where it is not there yet."""
+    name = f"{extent.road}{extent.sensor.replace('-', '')}{seed}"
+    layout = Layout(root, name, truth=False)
+    if not layout.folder.is_dir():
+        planned = plan_drive(build_town(builtin_road(extent.road), seed), extent.sensor)
+        write_drive(planned, layout, lambda: progress("simulating", 1))
+    return Drive(str(root.resolve()), name)
