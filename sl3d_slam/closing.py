@@ -90,6 +90,8 @@ class LoopCloser:
         guesses: dict[int, Transform] = {}
         for vote in thin_votes(votes, self._travelled_m, settings):
             target, pose = self._prepared(vote.view_id), np.array(vote.pose)
+            if np.hypot(*pose[1:]) > settings.max_distance_m:
+                continue
             if field_agreement(query, target, pose[None])[0] > settings.min_field_agreement:
                 guesses[vote.view_id] = lift(query, target, pose)
         if not guesses and query_id in estimates:

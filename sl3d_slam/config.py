@@ -69,7 +69,7 @@ class MatchingSettings(Settings):
     max_hypotheses: int = Field(default=3000, ge=1)
     cloud_voxel_m: float = Field(default=0.5, gt=0)
     min_overlap: float = Field(default=0.1, gt=0, le=1)
-    min_visibility: float = Field(default=0.92, gt=0, le=1)
+    min_log_odds: float = 2.0
     min_agreeing_points: int = Field(default=600, ge=1)
 
 
@@ -82,6 +82,7 @@ class LoopSettings(Settings):
     min_votes: int = Field(default=6, ge=1)
     min_field_agreement: float = Field(default=0.5, ge=-2, le=2)
     nearby_m: float = Field(default=12.0, gt=0)
+    max_distance_m: float = Field(default=30.0, gt=0)
 
 
 class GraphSettings(Settings):
@@ -121,7 +122,7 @@ class MapSettings(Settings):
 class RelocalizationSettings(Settings):
     """What a place of a saved map must show; it differs from a scan: it has seen more sides."""
 
-    min_visibility: float = Field(default=0.76, gt=0, le=1)
+    min_log_odds: float = -2.0
     min_inliers: int = Field(default=5, ge=2)
 
 

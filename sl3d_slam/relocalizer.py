@@ -22,6 +22,7 @@ NUM_REFINED = 4
 SAME_POSE_M = 2.0
 SAME_POSE_RAD = np.radians(8.0)
 CLEAR_MARGIN = 0.8  # another place may have at most this share of the best one's strength
+MAP_BIAS = -2.5  # log odds in a map at which right and wrong are equally likely
 CACHE_SIZE = 64
 
 
@@ -135,10 +136,14 @@ class Relocalizer:
 
 
 def confidence(evidence: Evidence, second_strength: float) -> float:
-    """Return how far an answer may be trusted, in [0, 1]: agreement times distinctness."""
+    """Return how far an answer may be trusted, in [0, 1]: its odds times its distinctness.
+
+    Against the map of a simulated drive the right places of 46 scans of two days had log odds
+    above -0.5, the wrong ones below -4.5.
+    """
     margin = 1.0 - max(second_strength, 0.0) / max(evidence.strength, 1e-9)
-    lines = 1.0 - 0.5 ** (len(evidence.matches) / 3.0)
-    return float(np.clip(evidence.seen.share * lines * min(1.0, 2.0 * margin), 0.0, 1.0))
+    probability = 1.0 / (1.0 + np.exp(MAP_BIAS - evidence.log_odds))
+    return float(np.clip(probability * min(1.0, 2.0 * margin), 0.0, 1.0))
 
 
 def _among(T_map_lidar: Transform, others: list[Transform]) -> bool:

@@ -13,8 +13,8 @@ MAX_RANGE_M = 70.0
 MIN_POINTS = 100
 NEIGHBOURS = 12
 STAGES = ((3.0, 2.0), (1.0, 1.0))  # largest correspondence distance, voxel of the moving cloud
-COVARIANCE_SCALE = 600.0  # neighbouring points err together, and voxels hide centimetres
-MIN_ROTATION_RAD = np.radians(0.02)
+COVARIANCE_SCALE = 10.0  # neighbouring points err together
+MIN_ROTATION_RAD = np.radians(0.015)
 MIN_TRANSLATION_M = 0.01
 # GICP's surfaces hold a little along themselves, too (1 to 1,000): a bare corridor reaches 0.0024 of
 # the best-held direction, a street slid by 4 m 0.0038, true pairs 25 m apart on real streets 0.0064
@@ -83,7 +83,7 @@ def information_of(alignment: DenseAlignment) -> Float64[np.ndarray, "6 6"]:
     """Return the calibrated information of an alignment (rotation first, source frame).
 
     GICP's Hessian takes every point as independent and every surface as flat, so its inverse is
-    hundreds of times too small. It is widened by a factor, and no direction is believed beyond
+    many times too small. It is widened by a factor, and no direction is believed beyond
     what voxels allow. Directions that no point fixes stay exactly zero.
     """
     scale = np.r_[np.full(3, 1.0 / MIN_ROTATION_RAD), np.full(3, 1.0 / MIN_TRANSLATION_M)]

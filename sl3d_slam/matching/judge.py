@@ -14,6 +14,8 @@ from sl3d_slam.types import Registration
 
 MAX_CORRECTION_M = 4.0
 MAX_CORRECTION_RAD = np.radians(10.0)
+BIAS, SEEN_WEIGHT, LINES_WEIGHT = -12.4, 2.86, 3.02  # see Evidence.log_odds
+MAX_SHARE = 0.995
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +37,18 @@ class Evidence:
     overlap: float
     seen: visibility.Visibility
     matches: Int64[np.ndarray, "M 2"]
+
+    @property
+    def log_odds(self) -> float:
+        """The log odds that the pose is right, from what was seen through and the lines that agree.
+
+        Logistic regression over 434 right (under 1 m, 3 deg) and 512 wrong (over 2 m, or another
+        place) refined hypotheses between single scans of drives 01 and 02 and of three simulated
+        drives: above 2 lie 96 % of the right ones and 1 of the wrong.
+        """
+        share = float(np.clip(self.seen.share, 1.0 - MAX_SHARE, MAX_SHARE))
+        lines = np.log1p(len(self.matches))
+        return float(BIAS + SEEN_WEIGHT * np.log(share / (1.0 - share)) + LINES_WEIGHT * lines)
 
     @property
     def strength(self) -> float:
@@ -82,8 +96,11 @@ def objection(evidence: Evidence, settings: MatchingSettings) -> str:
         return f"refinement left the guess by {evidence.correction_m:.1f} m"
     if evidence.overlap < settings.min_overlap:
         return f"only {evidence.overlap:.0%} of the clouds overlap"
-    if evidence.seen.share < settings.min_visibility:
-        return f"each scan sees through {1 - evidence.seen.share:.0%} of what stands in the other"
+    if evidence.log_odds < settings.min_log_odds:
+        return (
+            f"{len(evidence.matches)} lines agree, but each side sees through "
+            f"{1 - evidence.seen.share:.0%} of what stands in the other"
+        )
     if evidence.seen.agree < settings.min_agreeing_points:
         return f"only {evidence.seen.agree} points agree, too few to tell places apart"
     if len(evidence.matches) < settings.min_inliers:
