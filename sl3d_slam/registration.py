@@ -91,7 +91,7 @@ def register_views(
             return refusal("a cloud has too few points to verify a pose with")
         if not objection(evidence, settings):
             return to_registration(evidence, "")
-        if best is None or evidence.strength > best.strength:
+        if best is None or evidence.log_odds > best.log_odds:
             best = evidence
     assert best is not None
     return to_registration(best, objection(best, settings))

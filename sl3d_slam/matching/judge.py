@@ -50,11 +50,6 @@ class Evidence:
         lines = np.log1p(len(self.matches))
         return float(BIAS + SEEN_WEIGHT * np.log(share / (1.0 - share)) + LINES_WEIGHT * lines)
 
-    @property
-    def strength(self) -> float:
-        """Order refined poses: agreement that contradiction does not undo."""
-        return self.seen.agree - 4.0 * self.seen.contradict
-
 
 def gather_evidence(
     source: PreparedView, target: PreparedView, T_guess: Transform, settings: MatchingSettings
