@@ -14,8 +14,6 @@ from sl3d_slam.geometry.se3 import (
 )
 from sl3d_slam.mapping.line_map import LineMap, MapOrigin
 from sl3d_slam.mapping.places import choose_places, place_frame, place_landmarks, place_view
-from sl3d_slam.matching.judge import Evidence
-from sl3d_slam.matching.visibility import Visibility
 from sl3d_slam.relocalizer import Relocalizer, confidence
 from sl3d_slam.types import LineSet
 
@@ -118,24 +116,12 @@ def test_what_is_no_scan_is_refused(poses, landmarks, points):
         relocalizer.relocalize(points)
 
 
-def evidence(agree, contradict, num_lines):
-    return Evidence(
-        T_target_source=np.eye(4),
-        information=np.eye(6),
-        correction_m=0.1,
-        correction_rad=0.01,
-        overlap=0.5,
-        seen=Visibility(agree, contradict),
-        matches=np.zeros((num_lines, 2), np.int64),
-    )
-
-
-def test_confidence_grows_with_lines_and_falls_with_contradiction_and_rivals():
-    sure = confidence(evidence(3000, 30, 12), 0.0)
-    assert 0.9 < sure <= 1.0
-    assert confidence(evidence(3000, 30, 5), 0.0) < sure
-    assert confidence(evidence(3000, 600, 12), 0.0) < sure
-    strength = evidence(3000, 30, 12).strength
-    assert confidence(evidence(3000, 30, 12), 0.7 * strength) < sure
-    assert confidence(evidence(3000, 30, 12), strength) == 0.0
-    assert confidence(evidence(3000, 30, 12), -500.0) == sure
+def test_confidence_grows_with_odds_and_with_the_lead_over_other_places():
+    sure = confidence(8.0, 10.0)
+    assert 0.99 < sure <= 1.0
+    assert confidence(-2.5, 10.0) == pytest.approx(0.5, abs=1e-3)  # as likely right as wrong
+    assert confidence(8.0, 0.0) == pytest.approx(0.5, abs=1e-3)  # two places, equally likely
+    assert confidence(2.0, 10.0) < sure
+    assert confidence(8.0, 3.0) < sure
+    assert 0.0 < confidence(-12.0, 2.0) < 0.001
+    assert confidence(8.0, np.inf) == pytest.approx(1.0, abs=1e-3)  # no other place at all
