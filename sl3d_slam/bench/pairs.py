@@ -17,6 +17,7 @@ LIST_HEADER = "seq i seq_db j mot1 ... mot16"
 MAX_LIST_BYTES = 50_000_000
 
 Poses = Float64[np.ndarray, "N 4 4"]
+PosesOfAny = Float64[np.ndarray, "_ 4 4"]  # drives of different lengths in one list
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +73,7 @@ def pairs_at_distance(
 
 
 def choose_pairs(
-    drives: Sequence[Poses],
+    drives: Sequence[PosesOfAny],
     distance_m: float,
     count: int,
     rng: np.random.Generator,

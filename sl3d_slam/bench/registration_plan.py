@@ -7,7 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from sl3d_slam.bench.drives import Drive
-from sl3d_slam.bench.pairs import Poses, ScanPair, choose_pairs, random_turn, read_pair_list
+from sl3d_slam.bench.pairs import (
+    Poses,
+    PosesOfAny,
+    ScanPair,
+    choose_pairs,
+    random_turn,
+    read_pair_list,
+)
 from sl3d_slam.bench.registration_methods import OURS, PEERS
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
@@ -123,7 +130,10 @@ def _listed(bench: RegistrationBench, path: Path, rng: np.random.Generator) -> P
 
 
 def _apart(
-    poses: Sequence[Poses], distance_m: float, bench: RegistrationBench, rng: np.random.Generator
+    poses: Sequence[PosesOfAny],
+    distance_m: float,
+    bench: RegistrationBench,
+    rng: np.random.Generator,
 ) -> list[ScanPair]:
     along_track = bench.truth == "odometry"
     chosen = choose_pairs(poses, distance_m, bench.num_pairs, rng, along_track)

@@ -77,7 +77,7 @@ def _label(height: float) -> str:
 
 
 def draw_paths(
-    answers: Mapping[str, Answer], truth: Float64[np.ndarray, "N 4 4"] | None, title: str
+    answers: Mapping[str, Answer], truth: Float64[np.ndarray, "T 4 4"] | None, title: str
 ) -> bytes:
     """Return a PNG with every trajectory laid on the truth, and its distance from it."""
     with picture_style():
@@ -99,7 +99,7 @@ def draw_paths(
 
 
 def _draw_path(
-    plan: Any, errors: Any, system: str, path: Points, truth: Float64[np.ndarray, "N 4 4"] | None
+    plan: Any, errors: Any, system: str, path: Points, truth: Float64[np.ndarray, "T 4 4"] | None
 ) -> None:
     colour = colour_of(system)
     if truth is not None and len(truth) == len(path) and np.isfinite(path).all():

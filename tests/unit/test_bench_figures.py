@@ -104,6 +104,13 @@ def test_slam_row_of_a_known_trajectory():
     assert set(accuracy(long, loops, None)) == {"loops_accepted"}
 
 
+def test_slam_row_tells_rotation_in_degrees_a_hundred_metres():
+    truth = np.array([from_yaw(0.0, np.array([k, 0.0, 0.0])) for k in range(301)])
+    turning = np.array([from_yaw(np.radians(0.02 * k), truth[k, :3, 3]) for k in range(301)])
+    row = accuracy(turning, [], truth)
+    assert row["rotation_deg_per_100m"] == pytest.approx(2.0, rel=0.02)  # a stretch ends on a scan
+
+
 def test_a_trajectory_of_another_length_or_not_finite_is_an_error():
     truth = np.array([from_yaw(0.0, np.array([k, 0.0, 0.0])) for k in range(10)])
     with pytest.raises(InputError, match="9"):
