@@ -66,7 +66,7 @@ def run(
 
 def _simulated(root: Path, extent: Extent, seed: int, progress: Progress) -> Drive:
     """Return the drive, simulated where it is not there yet."""
-    name = f"{extent.road}{extent.sensor.replace('-', '')}{seed}"
+    name = f"{extent.road}{seed}"
     layout = Layout(root, name, truth=False)
     if not layout.folder.is_dir():
         planned = plan_drive(build_town(builtin_road(extent.road), seed), extent.sensor)

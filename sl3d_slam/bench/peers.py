@@ -41,7 +41,10 @@ def explain_absence(peer: str, error: Exception) -> str:
         name = library.group(1)
         package = next((p for key, p in DEBIAN_PACKAGES.items() if name.startswith(key)), None)
         how = f"apt-get install {package}" if package else "your system's package manager"
-        return f"{peer}: the system library {name} is missing; install it with {how}"
+        return (
+            f"{peer}: the system library {name} is missing; install it with {how} "
+            f"(the peers themselves with {INSTALL})"
+        )
     module = getattr(error, "name", None)
     if isinstance(error, ModuleNotFoundError) and module:
         return f"{peer}: the Python module {module} is not installed; {INSTALL}"

@@ -66,6 +66,7 @@ def test_a_missing_system_library_is_named_with_its_debian_package(library, pack
         sentence = explain_absence("kiss-slam", error)
         assert library in sentence
         assert f"apt-get install {package}" in sentence
+        assert INSTALL in sentence
 
 
 def test_installed_and_absent_peers_are_listed(monkeypatch):
