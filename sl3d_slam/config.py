@@ -39,6 +39,7 @@ class OdometrySettings(Settings):
 
     voxel_size_m: float = Field(default=1.0, gt=0)
     max_points_per_voxel: int = Field(default=20, ge=1)
+    refine_on_surfaces: bool = True
 
 
 class KeyframeSettings(Settings):
@@ -94,8 +95,8 @@ class GraphSettings(Settings):
     covariances are honest.
     """
 
-    odometry_rotation_sigma_deg: float = Field(default=0.05, gt=0)
-    odometry_translation_sigma_m: float = Field(default=0.02, gt=0)
+    odometry_rotation_sigma_deg: float = Field(default=0.02, gt=0)
+    odometry_translation_sigma_m: float = Field(default=0.01, gt=0)
     odometry_rotation_fraction: float = Field(default=0.005, ge=0)
     odometry_translation_fraction: float = Field(default=0.005, ge=0)
     odometry_check_probability: float = Field(default=0.999, gt=0, lt=1)

@@ -1,4 +1,6 @@
-"""Scan -> RegisteredScan by KISS-ICP (Vizzo et al., RA-L 2023); the only import of kiss_icp.
+"""Scan -> RegisteredScan by KISS-ICP (Vizzo et al., RA-L 2023), refined on surfaces.
+
+The only import of kiss_icp.
 
 Hazards of the library that this file meets: its settings can be changed by environment variables
 (``KISS_ICP_*``), so every value is given here; its deskewing aborts the process when all point
@@ -10,6 +12,7 @@ KITTI drive at 14 m/s: 0.06 m found, 1.44 m true), so that one scan is tried fro
 """
 
 import numpy as np
+import small_gicp
 from jaxtyping import Float64
 from kiss_icp.config import KISSConfig
 from kiss_icp.config.config import (
@@ -38,6 +41,10 @@ from sl3d_slam.types import RegisteredScan, Scan
 
 TRANSLATION_GRID_M = 1e-5
 QUATERNION_GRID = 1e-7
+SURFACE_VOXEL_M = 1.0
+SURFACE_SAMPLING_M = 0.5
+SURFACE_NEIGHBOURS = 10
+SURFACE_MEMORY_SCANS = 150
 START_STEP_M = 2.0
 START_DISTANCE_LIMIT_M = 0.5
 START_GAIN = 0.95
@@ -59,6 +66,9 @@ class Odometry:
         self._local_map = get_voxel_hash_map(config)
         self._T_odom_last: Transform = np.eye(4)
         self._T_last_next: Transform = np.eye(4)
+        self._surfaces = small_gicp.GaussianVoxelMap(SURFACE_VOXEL_M)
+        self._surfaces.set_lru(horizon=SURFACE_MEMORY_SCANS, clear_cycle=10)
+        self._refines = settings.refine_on_surfaces
         self._first_points: Points | None = None
         self._count = 0
 
@@ -68,48 +78,79 @@ class Odometry:
             scan.points_lidar, _usable_times(scan), self._T_last_next
         )
         map_points = voxel_down_sample(points, 0.5 * self._voxel_size_m)
-        T_odom_lidar = self._find_pose(map_points)
+        surfaces = _surfaces_of(map_points) if self._refines else None
+        T_odom_lidar = self._find_pose(map_points, surfaces)
         self._first_points = points if self._count == 0 else None
         self._count += 1
         self._local_map.update(map_points, T_odom_lidar)
+        if surfaces is not None:
+            self._surfaces.insert(surfaces, T_odom_lidar)
         self._T_last_next = invert(self._T_odom_last) @ T_odom_lidar
         self._T_odom_last = T_odom_lidar
         return RegisteredScan(scan.index, scan.stamp_s, points, T_odom_lidar)
 
-    def _find_pose(self, map_points: Points) -> Transform:
+    def _find_pose(self, map_points: Points, surfaces: small_gicp.PointCloud | None) -> Transform:
         """Find the pose near the constant-velocity guess, and learn how far off the guess was."""
         guess = self._T_odom_last @ self._T_last_next
         source = voxel_down_sample(map_points, 1.5 * self._voxel_size_m)
         if self._first_points is not None:
-            T_odom_lidar = self._best_of_starts(source, map_points, cKDTree(self._first_points))
+            T_odom_lidar = self._best_of_starts(
+                source, surfaces, map_points, cKDTree(self._first_points)
+            )
         else:
-            T_odom_lidar = self._align(source, guess)
+            T_odom_lidar = self._align(source, surfaces, guess)
         self._threshold.update_model_deviation(invert(guess) @ T_odom_lidar)
         return T_odom_lidar
 
-    def _align(self, source: Points, guess: Transform) -> Transform:
-        sigma_m = self._threshold.get_threshold()
-        return _on_grid(
-            self._registration.align_points_to_map(
-                points=source,
-                voxel_map=self._local_map,
-                initial_guess=guess,
-                max_correspondance_distance=3.0 * sigma_m,
-                kernel=sigma_m,
+    def _align(
+        self, source: Points, surfaces: small_gicp.PointCloud | None, guess: Transform
+    ) -> Transform:
+        """Align points to points by KISS-ICP, then, where asked, surfaces to surfaces.
+
+        The scan rings on the ground move with the sensor: point-to-point matches let them hold it
+        back, most where it creeps or turns and the adaptive threshold is wide. Matched as surfaces
+        (voxelised GICP, Koide et al., ICRA 2021) rings only fix the height.
+        """
+        T_odom_lidar = self._align_within(source, guess, self._threshold.get_threshold())
+        if surfaces is not None and surfaces.size() > 0 and self._surfaces.size() > 0:
+            refined = small_gicp.align(
+                self._surfaces, surfaces, init_T_target_source=T_odom_lidar, num_threads=2
             )
+            T_odom_lidar = np.asarray(refined.T_target_source)
+        return _on_grid(T_odom_lidar)
+
+    def _align_within(self, source: Points, guess: Transform, sigma_m: float) -> Transform:
+        return self._registration.align_points_to_map(
+            points=source,
+            voxel_map=self._local_map,
+            initial_guess=guess,
+            max_correspondance_distance=3.0 * sigma_m,
+            kernel=sigma_m,
         )
 
     def _best_of_starts(
-        self, source: Float64[np.ndarray, "S 3"], points: Points, first: cKDTree
+        self,
+        source: Float64[np.ndarray, "S 3"],
+        surfaces: small_gicp.PointCloud | None,
+        points: Points,
+        first: cKDTree,
     ) -> Transform:
         """Align from standstill and from steps in four directions; standstill wins near ties."""
         best, best_gap_m = np.eye(4), np.inf
         for step in _starts():
-            T_odom_lidar = self._align(source, make_transform(np.eye(3), step))
+            T_odom_lidar = self._align(source, surfaces, make_transform(np.eye(3), step))
             gap_m = _mean_gap_m(transform_points(T_odom_lidar, points), first)
             if gap_m < START_GAIN * best_gap_m:
                 best, best_gap_m = T_odom_lidar, gap_m
         return best
+
+
+def _surfaces_of(points: Points) -> small_gicp.PointCloud:
+    """Sample a scan to half a metre, each point with the covariance of its surroundings."""
+    sampled, _ = small_gicp.preprocess_points(
+        points, SURFACE_SAMPLING_M, num_neighbors=SURFACE_NEIGHBOURS, num_threads=2
+    )
+    return sampled
 
 
 def _starts() -> Float64[np.ndarray, "S 3"]:
