@@ -326,7 +326,7 @@ def test_a_saved_map_gets_a_frame_of_its_own(make_frontend, monkeypatch):
     graph.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(TRUTH[0]), NOISE))
     solution = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     found = solution.atPose3(gtsam.symbol("m", 7)).matrix()
-    np.testing.assert_allclose(found, T_world_map, atol=0.05)
+    np.testing.assert_allclose(found, T_world_map, atol=0.1)  # for the same reason
     with pytest.raises(GraphError, match="expected one map"):
         frontend.localize_against(None)
 

@@ -115,7 +115,7 @@ def test_deskewed_points_are_those_of_the_end_of_the_sweep():
         on_wall = (gap < 0.5) & (in_room[:, 2] > -1.2)
         errors[deskew] = float(np.sqrt(np.mean(gap[on_wall] ** 2)))
     # the sweep turns by 2 degrees and moves 0.25 m: undone, walls are centimetres thin
-    assert errors[True] < 0.03
+    assert errors[True] < 0.05
     assert errors[False] > 0.1
 
 
