@@ -122,7 +122,7 @@ class Run:
         if dataset is not None and dataset.T_cam_lidar is not None:
             poses = to_camera_frame(self.trajectory.T_world_lidar, dataset.T_cam_lidar)
             write_kitti_poses(folder / "poses_kitti.txt", poses)
-        write_json(folder / "loops.json", [_loop_tree(loop) for loop in self.loops])
+        write_json(folder / "loops.json", [loop_tree(loop) for loop in self.loops])
         write_whole(folder / "graph.g2o", self.graph_g2o)
         self.line_map.save(folder / "map.sl3d")
         write_whole(folder / "config.yaml", dump_config(self.config))
@@ -150,7 +150,8 @@ def peak_rss_mb() -> float:
     return peak / 1e6 if sys.platform == "darwin" else peak / 1e3
 
 
-def _loop_tree(loop: LoopRecord) -> dict[str, Any]:
+def loop_tree(loop: LoopRecord) -> dict[str, Any]:
+    """Return a candidate as ``loops.json`` holds it."""
     return {
         "query_scan": loop.query_scan,
         "target_scan": loop.target_scan,

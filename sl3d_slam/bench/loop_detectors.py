@@ -66,10 +66,11 @@ def our_loops(config: SlamConfig, scans: Iterable[Scan]) -> list[Detection]:
     slam = SlamPipeline(config)
     for scan in scans:
         slam.process(scan)
-    return [_of_record(record) for record in slam.finish().loops]
+    return [as_detection(record) for record in slam.finish().loops]
 
 
-def _of_record(record: LoopRecord) -> Detection:
+def as_detection(record: LoopRecord) -> Detection:
+    """Present a verified candidate as a detection; accepted ones outrank all others."""
     accepted = record.status == "accepted"
     return Detection(
         query_scans=(record.query_scan, record.query_scan + 1),

@@ -16,6 +16,7 @@ from sl3d_slam.cli.errors import Verbs
 from sl3d_slam.cli.export import export
 from sl3d_slam.cli.info import info
 from sl3d_slam.cli.lines import lines
+from sl3d_slam.cli.loops import loops
 from sl3d_slam.cli.map import map_
 from sl3d_slam.cli.register import register
 from sl3d_slam.cli.relocalize import relocalize
@@ -29,6 +30,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("map")(map_)
+app.command()(loops)
 app.command()(relocalize)
 app.command()(register)
 app.command()(lines)
