@@ -41,6 +41,7 @@ from sl3d_slam.types import RegisteredScan, Scan
 
 TRANSLATION_GRID_M = 1e-5
 QUATERNION_GRID = 1e-7
+COARSE_STEP_M = 3e-3
 SURFACE_VOXEL_M = 1.0
 SURFACE_SAMPLING_M = 0.5
 SURFACE_NEIGHBOURS = 10
@@ -165,6 +166,15 @@ def _mean_gap_m(points: Points, first: cKDTree) -> float:
     return float(np.minimum(gaps_m, START_DISTANCE_LIMIT_M).mean())
 
 
+def _effort(surfaces_follow: bool) -> RegistrationConfig:
+    """Stop iterating early where surfaces finish the work; the trajectory does not change."""
+    return (
+        RegistrationConfig(convergence_criterion=COARSE_STEP_M)
+        if surfaces_follow
+        else RegistrationConfig()
+    )
+
+
 def _kiss_config(settings: OdometrySettings, scan_input: InputSettings) -> KISSConfig:
     """Fill in every value; ``model_construct`` keeps the environment out."""
     return KISSConfig.model_construct(
@@ -173,7 +183,7 @@ def _kiss_config(settings: OdometrySettings, scan_input: InputSettings) -> KISSC
             min_range=scan_input.min_range_m,
             deskew=scan_input.deskew,
         ),
-        registration=RegistrationConfig(),
+        registration=_effort(settings.refine_on_surfaces),
         mapping=MappingConfig(
             voxel_size=settings.voxel_size_m, max_points_per_voxel=settings.max_points_per_voxel
         ),
