@@ -8,7 +8,8 @@ from sl3d_slam.graph.arbiter import LoopArbiter
 from sl3d_slam.graph.pose_graph import PoseGraph
 from sl3d_slam.types import LoopConstraint
 
-SETTINGS = GraphSettings()
+NOISE = {"odometry_rotation_sigma_deg": 0.05, "odometry_translation_sigma_m": 0.02}  # the worlds'
+SETTINGS = GraphSettings(**NOISE)
 INFORMATION = np.diag(np.repeat([np.radians(0.2) ** -2, 0.05**-2], 3))
 
 
@@ -123,7 +124,7 @@ def test_a_lone_loop_within_the_drift_is_believed_and_a_false_one_cannot_do_much
     assert "contradicts the odometry" in believed[30.0][1]
 
 
-CAREFUL = GraphSettings(lone_loop_max_sigma_m=1.0)
+CAREFUL = GraphSettings(lone_loop_max_sigma_m=1.0, **NOISE)
 
 
 def test_a_lone_loop_waits_where_the_odometry_is_too_uncertain_to_judge_it():
