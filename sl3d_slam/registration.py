@@ -101,15 +101,22 @@ def planar_seeds(
     source: PreparedView, target: PreparedView, settings: MatchingSettings
 ) -> PlanarPoses:
     """Return planar poses (yaw, x, y) of levelled frames, best first by fields and lines."""
-    poses, line_scores = enumerate_poses(
+    poses, line_scores = _line_poses(source, target, settings)
+    scores = field_agreement(source, target, poses) + LINE_VOTE * line_scores
+    return poses[np.argsort(-scores, kind="stable")]
+
+
+def _line_poses(
+    source: PreparedView, target: PreparedView, settings: MatchingSettings
+) -> tuple[PlanarPoses, np.ndarray]:
+    """Return the planar poses that lines alone like best, with their line scores, best first."""
+    poses, scores = enumerate_poses(
         source.verticals,
         target.verticals,
         settings.distance_tolerance_m,
         settings.inlier_distance_m,
     )
-    poses, line_scores = thin_poses(poses, line_scores, settings.max_hypotheses)
-    scores = field_agreement(source, target, poses) + LINE_VOTE * line_scores
-    return poses[np.argsort(-scores, kind="stable")]
+    return thin_poses(poses, scores, settings.max_hypotheses)
 
 
 def field_agreement(source: PreparedView, target: PreparedView, poses: PlanarPoses) -> np.ndarray:
@@ -135,13 +142,7 @@ def distinct(poses: PlanarPoses, limit: int) -> np.ndarray:
 def _register_lines_alone(
     source: PreparedView, target: PreparedView, settings: MatchingSettings
 ) -> Registration:
-    poses, scores = enumerate_poses(
-        source.verticals,
-        target.verticals,
-        settings.distance_tolerance_m,
-        settings.inlier_distance_m,
-    )
-    poses, scores = thin_poses(poses, scores, settings.max_hypotheses)
+    poses, scores = _line_poses(source, target, settings)
     chosen = distinct(poses, 2)
     if len(chosen) == 0:
         return refusal("no two standing lines of one scan fit two of the other")

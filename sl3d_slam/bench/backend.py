@@ -23,8 +23,8 @@ from sl3d_slam.bench.backend_world import (
 )
 from sl3d_slam.config import GraphSettings
 from sl3d_slam.errors import GraphError
+from sl3d_slam.files import prepare_run_folder, write_whole
 from sl3d_slam.graph.pose_graph import PoseGraph
-from sl3d_slam.io.atomic import prepare_run_folder, write_whole
 from sl3d_slam.report.metrics import ate_rmse_m
 
 NUM_TRUE, QUICK_TRUE = 200, 80

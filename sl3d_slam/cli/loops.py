@@ -39,25 +39,19 @@ def loops(
     json: JsonOption = False,
 ) -> None:
     """Find the loops of a drive. Status 1 where there is none."""
-    from sl3d_slam.cli.progress import Meter
+    from sl3d_slam.cli.map import drive_through
     from sl3d_slam.config import load_config
     from sl3d_slam.io.json_files import write_json
     from sl3d_slam.io.open import open_dataset
-    from sl3d_slam.pipeline import SlamPipeline
     from sl3d_slam.run import loop_tree
 
     settings = load_config(config, overrides or ())
     opened = open_dataset(data, settings.input, dataset, sequence, topic)
-    slam = SlamPipeline(settings, simulated=opened.simulated)
-    total = len(opened) if scans is None else min(scans, len(opened))
-    with Meter(total, quiet=quiet or json) as meter:
-        for scan in opened.iterate(0, total):
-            slam.process(scan)
-            meter.advance(f"loops {slam.num_loops}")
-    found = slam.finish().loops
+    run = drive_through(opened, settings, scans, quiet or json)
+    found = run.loops
     if out is not None:
         write_json(out, [loop_tree(loop) for loop in found])
-    figures = _figures(found, None if opened.truth is None else opened.truth[:total])
+    figures = _figures(found, None if opened.truth is None else opened.truth[: len(run.trajectory)])
     if json:
         from json import dumps
 

@@ -20,6 +20,7 @@ from sl3d_slam.cli.options import (
 if TYPE_CHECKING:
     from sl3d_slam.config import SlamConfig
     from sl3d_slam.io.dataset import Dataset
+    from sl3d_slam.run import Run
 
 
 def map_(
@@ -62,18 +63,26 @@ def run_map(
     """Map an opened dataset into a run folder and return the metrics."""
     import time
 
+    start_s = time.perf_counter()
+    run = drive_through(opened, settings, scans, quiet)
+    wall_s = time.perf_counter() - start_s
+    rate = len(run.trajectory) / wall_s
+    return run.save(out, opened, {"wall_s": wall_s, "scans_per_s": rate})
+
+
+def drive_through(
+    opened: "Dataset", settings: "SlamConfig", scans: int | None, quiet: bool
+) -> "Run":
+    """Take an opened dataset through the pipeline; say its warnings, show the progress."""
     from sl3d_slam.cli.progress import Meter
     from sl3d_slam.pipeline import SlamPipeline
 
     for warning in opened.warnings:
         typer.echo(f"sl3d: {warning}", err=True)
-    start_s = time.perf_counter()
     slam = SlamPipeline(settings, simulated=opened.simulated)
     total = len(opened) if scans is None else min(scans, len(opened))
     with Meter(total, quiet=quiet) as meter:
         for scan in opened.iterate(0, total):
             slam.process(scan)
             meter.advance(f"loops {slam.num_loops}")
-    run = slam.finish()
-    wall_s = time.perf_counter() - start_s
-    return run.save(out, opened, {"wall_s": wall_s, "scans_per_s": total / wall_s})
+    return slam.finish()
