@@ -21,6 +21,7 @@ from sl3d_slam.cli.map import map_
 from sl3d_slam.cli.register import register
 from sl3d_slam.cli.relocalize import relocalize
 from sl3d_slam.cli.simulate import simulate
+from sl3d_slam.cli.train import train
 
 app = typer.Typer(
     cls=Verbs,
@@ -40,6 +41,7 @@ app.command()(export)
 app.command()(config)
 app.command()(demo)
 app.add_typer(bench, name="bench")
+app.add_typer(train, name="train")
 
 
 def _print_version(wanted: bool) -> bool:

@@ -1,0 +1,1 @@
+"""How the line network comes to its weights: data, losses, training."""
