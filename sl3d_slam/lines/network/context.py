@@ -40,7 +40,7 @@ class Cells:
 
 
 def find_cells(points: Float32[np.ndarray, "M 3"], cloud_of: Int64[np.ndarray, "M"]) -> Cells:
-    """Sort points into cells, anchored at each cloud's mean: moving a cloud changes nothing."""
+    """Sort x, y, z into cells, anchored at each cloud's mean: moving a cloud changes nothing."""
     corner = np.zeros((cloud_of.max() + 1, 3))
     for cloud in range(len(corner)):
         corner[cloud] = points[cloud_of == cloud].mean(axis=0, dtype=np.float64)

@@ -1,9 +1,12 @@
 """EdgeConv, in the form it is defined in and in a cheaper one that gives the same numbers."""
 
+import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor, nn
 
 from sl3d_slam.lines.network.gather import gather_max
+
+PIECE = 512
 
 
 class EdgeConv(nn.Module):
@@ -53,5 +56,13 @@ class OffsetConv(nn.Module):
 
     def forward(self, offsets: Float32[Tensor, "M k C"]) -> Float32[Tensor, "M D"]:
         """Return features of points from the offsets of their neighbours."""
-        edges = self.second(nn.functional.relu(self.first(offsets)))  # (M, k, D)
-        return nn.functional.relu(self.norm(edges.amax(dim=1)))
+        if torch.is_grad_enabled():
+            largest = self._largest(offsets)
+        else:  # pieces that stay in the processor's cache
+            largest = torch.cat([self._largest(piece) for piece in torch.split(offsets, PIECE)])
+        return nn.functional.relu(self.norm(largest))
+
+    def _largest(self, offsets: Float32[Tensor, "M k C"]) -> Float32[Tensor, "M D"]:
+        edges = self.second(nn.functional.relu(self.first(offsets.flatten(0, 1))))  # (M k, D)
+        rows = torch.arange(len(edges), device=edges.device).view(offsets.shape[:2])
+        return gather_max(edges, rows)

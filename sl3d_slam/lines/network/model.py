@@ -45,12 +45,13 @@ class SuperLine3D(nn.Module):
 
     def forward(
         self,
-        points: Float32[Tensor, "M 3"],
+        points: Float32[Tensor, "M P"],
         neighbours: Int64[Tensor, "M k"],
         cloud_sizes: Sequence[int] | None = None,
     ) -> tuple[Float32[Tensor, "M 2"], Float32[Tensor, "M D"]]:
         """Return logits (background, line) and unit descriptors per point.
 
+        ``points`` are x, y, z and, where the settings want heights, the height above the ground.
         Several clouds go in one pass as one concatenation, with neighbour indices offset to it and
         the clouds' sizes in ``cloud_sizes``; none sees another.
         """
@@ -59,7 +60,7 @@ class SuperLine3D(nn.Module):
 
     def encode(
         self,
-        points: Float32[Tensor, "M 3"],
+        points: Float32[Tensor, "M P"],
         neighbours: Int64[Tensor, "M k"],
         cloud_sizes: Sequence[int] | None = None,
     ) -> Float32[Tensor, "M E"]:
@@ -75,7 +76,7 @@ class SuperLine3D(nn.Module):
         joined = torch.cat(outputs, dim=1)
         if self.context is None:
             return joined
-        cells = find_cells(places, np.repeat(np.arange(len(sizes)), sizes))
+        cells = find_cells(places[:, :3], np.repeat(np.arange(len(sizes)), sizes))
         return torch.cat([joined, self.context(joined, cells.to(device))], dim=1)
 
     def describe(self, encoded: Float32[Tensor, "M E"]) -> Float32[Tensor, "M D"]:

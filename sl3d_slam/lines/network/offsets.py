@@ -8,23 +8,34 @@ from numba import njit, prange
 
 from sl3d_slam.lines.network.settings import NetworkSettings
 
+MAX_HEIGHT_M = 12.0
+HEIGHT_UNIT_M = 3.0
+
 
 def edge_inputs(
     points: np.ndarray, neighbours: np.ndarray, settings: NetworkSettings
 ) -> Float32[np.ndarray, "M k C"]:
-    """Return what the first block sees of each edge: C = 3, or 6 where scale does not count.
+    """Return what the first block sees of each edge; ``points`` are x, y, z and maybe a height.
 
     Three numbers are the neighbour's offset in metres, in the axes of the settings. The six after
     Eq. 1 and 3 of the paper: ``f = sum_j (p - q_j) / sum_j |p - q_j|``, and
-    ``(p - q_j) / sum_j |p - q_j| - f``.
+    ``(p - q_j) / sum_j |p - q_j| - f``. With heights, the point's own height is a fourth number.
     """
     offsets = _offsets(points, neighbours, settings.axes == "own")
-    return scale_free(offsets) if settings.scale_invariant else offsets
+    if settings.scale_invariant:
+        return scale_free(offsets)
+    if not settings.heights:
+        return offsets
+    height = np.clip(points[:, 3], 0.0, MAX_HEIGHT_M) / HEIGHT_UNIT_M
+    own = np.broadcast_to(height[:, None, None], (*neighbours.shape, 1))
+    return np.concatenate([offsets, own], axis=2).astype(np.float32)
 
 
 def num_inputs(settings: NetworkSettings) -> int:
     """Return C of :func:`edge_inputs`."""
-    return 6 if settings.scale_invariant else 3
+    if settings.scale_invariant:
+        return 6
+    return 4 if settings.heights else 3
 
 
 def scale_free(offsets: Float32[np.ndarray, "M k 3"]) -> Float32[np.ndarray, "M k 6"]:
