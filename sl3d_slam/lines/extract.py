@@ -1,46 +1,69 @@
-"""Lines of one scan: the geometric extractor."""
+"""Lines of one scan: the one way in, learned or geometric."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float64
 
 from sl3d_slam.config import LineSettings
 from sl3d_slam.errors import InputError, MissingExtraError
-from sl3d_slam.geometry.se3 import make_transform
-from sl3d_slam.geometry.segments import transform_segments
-from sl3d_slam.types import LineKind, LineSet
+from sl3d_slam.types import LineSet
+
+if TYPE_CHECKING:
+    from sl3d_slam.lines.network.inference import Network
 
 MIN_POINTS = 50
+SHIPPED_WEIGHTS = Path(__file__).parent / "weights" / "superline3d.safetensors"
 
 
 class LineExtractor:
-    """Finds standing poles and building edges in one scan, from geometry alone.
+    """Finds standing poles and building edges in one scan.
 
     Deterministic, and tied to no sensor: only the coordinates count, not their order. Poles, posts
-    and trunks are narrow columns with free space around (LineKind.POLE; the line is the axis
-    behind the visible front). Standing edges are where two walls meet or one truly ends
-    (LineKind.VERTICAL_EDGE); ends in the shadow of something nearer are left out. "Standing" is
-    meant against the ground around the sensor, which may be tilted by up to 25 degrees.
+    and trunks are narrow columns (LineKind.POLE; the line is the axis behind the visible front).
+    Standing edges are where two walls meet or one truly ends (LineKind.VERTICAL_EDGE). "Standing"
+    is meant against the ground around the sensor, which may be tilted by up to 25 degrees.
+
+    With ``settings.method`` "geometric" local structure alone decides, and lines are described by a
+    small hand-made descriptor. With "learned" the network of ``settings.weights`` (or the one
+    shipped with the package) says which points belong to lines, ranks the lines and describes them.
     """
 
-    def __init__(self, settings: LineSettings = LineSettings()) -> None:  # noqa: B008  (frozen)
+    def __init__(
+        self,
+        settings: LineSettings = LineSettings(),  # noqa: B008  (frozen)
+        device: str = "cpu",
+    ) -> None:
         self._settings = settings
+        self._network = _network(settings, device) if settings.method == "learned" else None
 
     @classmethod
     def pretrained(cls, device: str = "cpu") -> "LineExtractor":
-        """Refuse: this version ships no trained network; ``LineExtractor()`` is the geometric one.
+        """Return the learned extractor with the weights shipped in this package.
 
-        A geometric extractor under this name would be taken for the learned one, in results too.
+        Raises
+        ------
+        MissingExtraError
+            where this installation ships no weights.
+        InputError
+            where they are damaged or the device is unknown.
         """
-        raise MissingExtraError(
-            "no trained line network ships with this version; "
-            f"LineExtractor() finds lines geometrically (asked for a network on {device})"
-        )
+        return cls(LineSettings(method="learned"), device)
+
+    @property
+    def model(self) -> str:
+        """What describes the lines: "geometric", or "superline3d-" and the hash of the weights.
+
+        Descriptors of different models cannot be compared.
+        """
+        return "geometric" if self._network is None else self._network.name
 
     def extract(self, points_lidar: np.ndarray) -> LineSet:
         """Return the lines of a scan (N, 3) in metres, in the lidar frame, best score first.
 
-        Descriptors (L, 28) hold the line's height above ground, thickness and kind and what stands
-        around it, see :func:`sl3d_slam.lines.describe.describe_uprights`. A scan without structure
+        Descriptors (L, D) are unit vectors: the mean of the network's over the points of a line, or
+        what :func:`sl3d_slam.lines.describe.describe_uprights` says of it. A scan without structure
         gives an empty set. A sweep of a moving sensor should be deskewed before: at 10 m/s lines
         of raw sweeps disagree by twice as much.
 
@@ -49,35 +72,27 @@ class LineExtractor:
         InputError
             where the array is no (N, 3) of finite floats or has fewer than 50 points.
         """
-        from sl3d_slam.lines.describe import describe_uprights
-        from sl3d_slam.lines.edges import find_edges
-        from sl3d_slam.lines.poles import find_poles
-        from sl3d_slam.lines.scene import make_scene
+        points = checked_points(points_lidar)
+        if self._network is None:
+            from sl3d_slam.lines.geometric import geometric_lines
 
-        scene = make_scene(checked_points(points_lidar), self._settings)
-        poles = find_poles(scene, self._settings.min_length_m)
-        edges = find_edges(scene, self._settings.grow_radius_m, self._settings.min_length_m)
-        uprights = [*poles, *edges]
-        kinds = [LineKind.POLE] * len(poles) + [LineKind.VERTICAL_EDGE] * len(edges)
-        order = sorted(range(len(uprights)), key=lambda i: -uprights[i].score)
-        order = order[: self._settings.max_lines]
-        endpoints = np.array([uprights[i].endpoints for i in order]).reshape(-1, 2, 3)
-        measures = np.array(
-            [
-                (u.bottom_m, u.top_m, u.thickness_m, float(kind == LineKind.VERTICAL_EDGE))
-                for u, kind in ((uprights[i], kinds[i]) for i in order)
-            ]
-        ).reshape(-1, 4)
-        places = endpoints[:, :, :2].mean(axis=1)
-        return LineSet(
-            endpoints=transform_segments(
-                make_transform(scene.R_level_lidar.T, np.zeros(3)), endpoints
-            ),
-            descriptors=describe_uprights(places, measures, scene.points, scene.heights),
-            num_points=np.array([uprights[i].num_points for i in order], np.int64),
-            kinds=np.array([kinds[i] for i in order], np.uint8),
-            scores=np.array([uprights[i].score for i in order], np.float32),
+            return geometric_lines(points, self._settings)
+        from sl3d_slam.lines.learned import learned_lines
+
+        return learned_lines(points, self._settings, self._network)
+
+
+def _network(settings: LineSettings, device: str) -> "Network":
+    from sl3d_slam.lines.network.inference import Network
+
+    if settings.weights is not None:
+        return Network(Path(settings.weights), device)
+    if not SHIPPED_WEIGHTS.is_file():
+        raise MissingExtraError(
+            "no trained line network ships with this installation; "
+            "name one with lines.weights or set lines.method to geometric"
         )
+    return Network(SHIPPED_WEIGHTS, device)
 
 
 def checked_points(points_lidar: np.ndarray) -> Float64[np.ndarray, "N 3"]:

@@ -1,0 +1,143 @@
+"""Standing lines grown from the points that the network calls lines, fitted on the full scan."""
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int64
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from sl3d_slam.lines.fit import axis_behind, fit_upright
+from sl3d_slam.lines.poles import MAX_RADIUS_M, Upright
+from sl3d_slam.lines.scene import Scene, vertical_gap_m
+from sl3d_slam.types import LineKind
+
+MIN_PROBABILITY = 0.5
+JOIN_RADIUS_M = 0.5
+MIN_POINTS = 3
+COLUMN_M = 0.45
+RING_M = 0.9
+MAX_RING_SHARE = 0.5
+CORNER_REACH_M = 0.5
+SHEET_REACH_M = 1.2
+MAX_THICKNESS_M = 0.1
+MIN_SHEET_VOXELS = 8
+MIN_CORNER_SINE = 0.5
+
+
+def grow_uprights(
+    scene: Scene,
+    points: Float32[np.ndarray, "M 4"],
+    probability: Float32[np.ndarray, "M"],
+    min_length_m: float,
+) -> list[tuple[Upright, LineKind]]:
+    """Return the standing lines that confident points form, with what they stand on.
+
+    Points above a probability of one half are joined within 0.5 m seen from above and with no
+    larger gap in height than beams leave. What stands free is fitted as a pole; else the line is
+    where the two wall planes beside it meet, or, without two, where the confident points stand.
+    """
+    confident = np.flatnonzero(probability > MIN_PROBABILITY)
+    found = []
+    for members in _join(points[confident, :3].astype(np.float64)):
+        rows = confident[members]
+        line = _fit(scene, points[rows].astype(np.float64), probability[rows], min_length_m)
+        if line is not None:
+            found.append(line)
+    return found
+
+
+def _join(points: Float64[np.ndarray, "N 3"]) -> list[Int64[np.ndarray, "P"]]:
+    if len(points) == 0:
+        return []
+    pairs = cKDTree(points[:, :2]).query_pairs(JOIN_RADIUS_M, output_type="ndarray")
+    step = np.abs(points[pairs[:, 0], 2] - points[pairs[:, 1], 2])
+    pairs = pairs[step <= vertical_gap_m(np.linalg.norm(points[pairs[:, 0]], axis=1))]
+    links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(points), len(points)))
+    labels = connected_components(links, directed=False)[1]
+    order = np.argsort(labels, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
+    return [group for group in groups if len(group) >= MIN_POINTS]
+
+
+def _fit(
+    scene: Scene,
+    points: Float64[np.ndarray, "P 4"],
+    probability: Float32[np.ndarray, "P"],
+    min_length_m: float,
+) -> tuple[Upright, LineKind] | None:
+    low, high = float(points[:, 2].min()), float(points[:, 2].max())
+    if high - low < min_length_m:
+        return None
+    place = np.average(points[:, :2], axis=0, weights=probability)
+    span = (low, high)
+    clearance = float(np.median(points[:, 2] - points[:, 3]))
+    pole = _as_pole(scene, place, span, clearance)
+    if pole is not None:
+        return pole, LineKind.POLE
+    corner = _corner_near(scene, place, span)
+    if corner is not None:
+        place = corner
+    endpoints = np.array([[*place, low], [*place, high]])
+    edge = Upright(endpoints, len(points), 0.0, low - clearance, high - clearance, 0.0)
+    return edge, LineKind.VERTICAL_EDGE
+
+
+def _as_pole(
+    scene: Scene, place: Float64[np.ndarray, "2"], span: tuple[float, float], ground: float
+) -> Upright | None:
+    """Fit the axis of a column with free space around, or return None where there is none."""
+    near = scene.around(place, RING_M)
+    z = scene.points[near, 2]
+    near = near[(z > span[0] - 0.2) & (z < span[1] + 0.2)]
+    distance = np.linalg.norm(scene.points[near, :2] - place, axis=1)
+    core, ring = near[distance < COLUMN_M], near[(distance >= COLUMN_M) & (distance < RING_M)]
+    if len(core) < MIN_POINTS or len(ring) > MAX_RING_SHARE * len(core):
+        return None
+    returns = scene.returns_of(core)
+    if len(returns) < 5:
+        return None
+    front, slope = fit_upright(returns)
+    axis, radius = axis_behind(front, slope, returns)
+    if radius > MAX_RADIUS_M:
+        return None
+    low, high = float(scene.points[core, 2].min()), float(scene.points[core, 2].max())
+    endpoints = np.array([np.r_[axis[:2] + slope * (h - axis[2]), h] for h in (low, high)])
+    return Upright(endpoints, len(returns), float(radius), low - ground, high - ground, 0.0)
+
+
+def _corner_near(
+    scene: Scene, place: Float64[np.ndarray, "2"], span: tuple[float, float]
+) -> Float64[np.ndarray, "2"] | None:
+    """Return where two walls within 1.2 m of a place meet, if that is within 0.5 m of it."""
+    near = scene.around(place, SHEET_REACH_M)
+    z = scene.points[near, 2]
+    near = near[(z > span[0]) & (z < span[1]) & (scene.structure[near, 4] < MAX_THICKNESS_M)]
+    if len(near) < 2 * MIN_SHEET_VOXELS:
+        return None
+    normals, offset = scene.structure[near, 2:4], scene.points[near, :2] - place
+    cosine = np.abs(normals @ normals.T)
+    first = cosine[np.argmax((cosine > 0.95).sum(axis=1))] > 0.95
+    across = np.flatnonzero(cosine[np.flatnonzero(first)[0]] < np.sqrt(1 - MIN_CORNER_SINE**2))
+    if len(across) < MIN_SHEET_VOXELS:
+        return None
+    inner = cosine[np.ix_(across, across)] > 0.95
+    second = across[inner[np.argmax(inner.sum(axis=1))]]
+    if first.sum() < MIN_SHEET_VOXELS or len(second) < MIN_SHEET_VOXELS:
+        return None
+    planes = [_plane(offset[rows]) for rows in (np.flatnonzero(first), second)]
+    matrix = np.array([normal for normal, _ in planes])
+    if abs(np.linalg.det(matrix)) < MIN_CORNER_SINE:
+        return None
+    meeting = np.linalg.solve(matrix, np.array([distance for _, distance in planes]))
+    return place + meeting if np.linalg.norm(meeting) < CORNER_REACH_M else None
+
+
+def _plane(plan: Float64[np.ndarray, "N 2"]) -> tuple[Float64[np.ndarray, "2"], float]:
+    """Fit a line seen from above with weights that ignore what stands off it."""
+    weights = np.ones(len(plan))
+    for _ in range(4):
+        mean = weights @ plan / weights.sum()
+        centred = plan - mean
+        normal = np.linalg.eigh((centred * weights[:, None]).T @ centred)[1][:, 0]
+        weights = 1.0 / (1.0 + (centred @ normal / 0.05) ** 2) ** 2
+    return normal, float(normal @ mean)

@@ -1,0 +1,138 @@
+"""Lines of one scan with the network: what it calls a line, fitted, ranked and described."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int64
+from scipy.spatial import cKDTree
+
+from sl3d_slam.config import LineSettings
+from sl3d_slam.geometry.se3 import Points
+from sl3d_slam.lines.geometric import find_uprights, to_lidar
+from sl3d_slam.lines.grown import grow_uprights
+from sl3d_slam.lines.network.inference import Network
+from sl3d_slam.lines.network.sample import network_points
+from sl3d_slam.lines.scene import Scene, make_scene
+from sl3d_slam.types import LineSet
+
+REACH_M = 0.35
+OVERSHOOT_M = 0.2
+SAME_LINE_M = 0.4
+MIN_DESCRIBED = 0.02
+PRIOR_POINTS = 2.0
+FULL_LENGTH_M = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Labelled:
+    """The points the network saw, levelled, and what it said of them."""
+
+    points: Float32[np.ndarray, "M 4"]
+    probability: Float32[np.ndarray, "M"]
+    descriptors: Float32[np.ndarray, "M D"]
+
+
+def learned_lines(points_lidar: Points, settings: LineSettings, network: Network) -> LineSet:
+    """Return the lines of a scan that the network believes in most, best first.
+
+    Candidates are the segments grown from the points that the network calls lines and those that
+    geometry proposes, each fitted on the full scan. The network ranks and describes them: by the
+    mean line probability and the mean descriptor of the points along each.
+    """
+    scene = make_scene(points_lidar, settings)
+    labelled = label_points(points_lidar, scene, network)
+    uprights, kinds = find_uprights(scene, settings)
+    for upright, kind in grow_uprights(
+        scene, labelled.points, labelled.probability, settings.min_length_m
+    ):
+        uprights.append(upright)
+        kinds.append(kind)
+    endpoints = np.array([upright.endpoints for upright in uprights]).reshape(-1, 2, 3)
+    members = points_along(endpoints, labelled.points)
+    scores = _scores(endpoints, members, labelled.probability)
+    order = _best_apart(endpoints, scores, settings.max_lines)
+    return LineSet(
+        endpoints=to_lidar(scene, endpoints[order]),
+        descriptors=_describe(labelled, [members[i] for i in order]),
+        num_points=np.array([uprights[i].num_points for i in order], np.int64),
+        kinds=np.array([kinds[i] for i in order], np.uint8),
+        scores=scores[order].astype(np.float32),
+    )
+
+
+def label_points(points_lidar: Points, scene: Scene, network: Network) -> Labelled:
+    """Run the network on a scan, levelled by its scene."""
+    points = network_points(points_lidar, network.settings)
+    points[:, :3] = points[:, :3] @ scene.R_level_lidar.T.astype(np.float32)
+    probability, descriptors = network.infer(points, MIN_DESCRIBED)
+    return Labelled(points, probability, descriptors)
+
+
+def points_along(
+    endpoints: Float64[np.ndarray, "L 2 3"], points: Float32[np.ndarray, "M 4"]
+) -> list[Int64[np.ndarray, "P"]]:
+    """Return for each standing segment the points within 0.35 m beside it."""
+    if len(endpoints) == 0 or len(points) == 0:
+        return [np.zeros(0, np.int64)] * len(endpoints)
+    middle = endpoints.mean(axis=1)
+    lean = 0.5 * np.linalg.norm(endpoints[:, 1, :2] - endpoints[:, 0, :2], axis=1)
+    near = cKDTree(points[:, :2]).query_ball_point(middle[:, :2], REACH_M + lean)
+    return [
+        _beside(segment, points, np.sort(np.asarray(rows, np.int64)))
+        for segment, rows in zip(endpoints, near, strict=True)
+    ]
+
+
+def _beside(
+    segment: Float64[np.ndarray, "2 3"],
+    points: Float32[np.ndarray, "M 4"],
+    rows: Int64[np.ndarray, "P"],
+) -> Int64[np.ndarray, "Q"]:
+    low, high = segment[np.argsort(segment[:, 2])]
+    z = points[rows, 2]
+    share = np.clip((z - low[2]) / max(high[2] - low[2], 1e-6), 0.0, 1.0)[:, None]
+    aside = points[rows, :2] - (low[:2] + share * (high[:2] - low[:2]))
+    inside = (z > low[2] - OVERSHOOT_M) & (z < high[2] + OVERSHOOT_M)
+    return rows[inside & (np.einsum("ij,ij->i", aside, aside) < REACH_M**2)]
+
+
+def _scores(
+    endpoints: Float64[np.ndarray, "L 2 3"],
+    members: list[Int64[np.ndarray, "P"]],
+    probability: Float32[np.ndarray, "M"],
+) -> Float64[np.ndarray, "L"]:
+    """Return the mean probability along each line, less for few points and for short lines."""
+    total = np.array([probability[rows].sum(dtype=np.float64) for rows in members])
+    count = np.array([len(rows) for rows in members])
+    height = np.abs(endpoints[:, 1, 2] - endpoints[:, 0, 2])
+    length_part = np.minimum(height / FULL_LENGTH_M, 1.0)
+    return total / (count + PRIOR_POINTS) * (0.5 + 0.5 * length_part)
+
+
+def _best_apart(
+    endpoints: Float64[np.ndarray, "L 2 3"], scores: Float64[np.ndarray, "L"], max_lines: int
+) -> Int64[np.ndarray, "K"]:
+    """Return the best lines, best first, leaving out what stands where a better one does."""
+    places = endpoints.mean(axis=1)[:, :2]
+    low, high = endpoints[:, :, 2].min(axis=1), endpoints[:, :, 2].max(axis=1)
+    kept: list[int] = []
+    for i in np.argsort(-scores, kind="stable"):
+        close = np.linalg.norm(places[kept] - places[i], axis=1) < SAME_LINE_M
+        if scores[i] > 0 and not np.any(close & (low[kept] < high[i]) & (low[i] < high[kept])):
+            kept.append(int(i))
+        if len(kept) == max_lines:
+            break
+    return np.array(kept, np.int64)
+
+
+def _describe(
+    labelled: Labelled, members: list[Int64[np.ndarray, "P"]]
+) -> Float32[np.ndarray, "L D"]:
+    """Return the mean descriptor of each line's points, weighted by their probability."""
+    dimension = labelled.descriptors.shape[1]
+    means = np.zeros((len(members), dimension), np.float32)
+    for row, points in enumerate(members):
+        means[row] = labelled.probability[points] @ labelled.descriptors[points]
+    lengths = np.linalg.norm(means, axis=1, keepdims=True)
+    fallback = np.full(dimension, dimension**-0.5, np.float32)
+    return np.where(lengths > 1e-9, means / np.maximum(lengths, 1e-9), fallback)
