@@ -91,13 +91,11 @@ def make_plan(bench: RegistrationBench) -> Plan:
     unknown = [peer for peer in bench.peers if peer not in PEERS]
     if unknown:
         raise InputError(f"{unknown[0]}: unknown peer; expected some of {', '.join(PEERS)}")
-    if bench.truth not in ("given", "odometry"):
-        raise InputError(f"--truth {bench.truth}: expected given or odometry")
     rng = np.random.default_rng(bench.seed)
     if bench.pair_list is not None:
         return _listed(bench, bench.pair_list, rng)
     opened = [drive.open(bench.config.input) for drive in bench.drives]
-    poses = [_poses(drive, bench) for drive in opened]
+    poses = [poses_of(drive, bench.truth, bench.config) for drive in opened]
     groups = [
         PairGroup(f"{distance_m:g} m", _apart(poses, distance_m, bench, rng))
         for distance_m in bench.distances_m
@@ -168,9 +166,18 @@ def _turns(bench: RegistrationBench, rng: np.random.Generator) -> tuple[Transfor
     return source, random_turn(rng, False, bench.tilt_deg)
 
 
-def _poses(drive: Dataset, bench: RegistrationBench) -> Poses:
-    if bench.truth == "odometry":
-        odometry = Odometry(bench.config.odometry, bench.config.input)
+def poses_of(drive: Dataset, truth: str, config: SlamConfig) -> Poses:
+    """Return the drive's true poses (``given``) or KISS-ICP's (``odometry``).
+
+    Raises
+    ------
+    InputError
+        where ``truth`` is neither, or the drive has no true poses.
+    """
+    if truth not in ("given", "odometry"):
+        raise InputError(f"--truth {truth}: expected given or odometry")
+    if truth == "odometry":
+        odometry = Odometry(config.odometry, config.input)
         return np.array([odometry.register(scan).T_odom_lidar for scan in drive])
     if drive.truth is None:
         raise InputError(f"{drive.name}: has no true poses; --truth odometry does without")

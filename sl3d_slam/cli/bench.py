@@ -1,19 +1,28 @@
 """``sl3d bench NAME``: this package beside its peers, measured in one run on one machine."""
 
-import shlex
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from sl3d_slam.cli.bench_lines import extract, lines
+from sl3d_slam.cli.bench_options import (
+    DataArguments,
+    DistancesOption,
+    OutAndBackOption,
+    OutOption,
+    PeersOption,
+    SeedOption,
+    SequencesOption,
+    TruthOption,
+    command,
+    drives_of,
+    names,
+    numbers,
+    show,
+)
 from sl3d_slam.cli.errors import Verbs
 from sl3d_slam.cli.options import ConfigOption, DatasetOption, QuietOption, ScansOption, SetOption
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from sl3d_slam.bench.tables import Table
 
 bench = typer.Typer(
     cls=Verbs,
@@ -21,18 +30,8 @@ bench = typer.Typer(
     pretty_exceptions_enable=False,
     help="Compare this package with its peers; tables and pictures in --out.",
 )
-
-DataArguments = Annotated[
-    list[Path], typer.Argument(metavar="DATA...", help="Drives: KITTI roots, folders, bags.")
-]
-OutOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where results go.")]
-SequencesOption = Annotated[
-    list[str] | None,
-    typer.Option("--sequence", metavar="NN", help="KITTI sequence; may be repeated."),
-]
-OutAndBackOption = Annotated[
-    bool, typer.Option("--out-and-back", help="Turn one-way drives into ones that come back.")
-]
+bench.command("lines")(lines)
+bench.command("extract")(extract)
 
 
 @bench.command("slam")
@@ -42,27 +41,22 @@ def slam(
     dataset: DatasetOption = "auto",
     sequences: SequencesOption = None,
     scans: ScansOption = None,
-    peers: Annotated[str, typer.Option(help="Comma-separated.")] = "kiss-slam,kiss-icp",
+    peers: PeersOption = "kiss-slam,kiss-icp",
     out_and_back: OutAndBackOption = False,
     config: ConfigOption = None,
     overrides: SetOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Whole drives against kiss-slam and KISS-ICP: accuracy, loops, time, memory."""
-    from sl3d_slam.bench.drives import Drive
     from sl3d_slam.bench.slam import SlamBench, run
     from sl3d_slam.cli.progress import Meter
     from sl3d_slam.config import load_config
 
-    drives = [
-        Drive(str(path.resolve()), name, dataset, scans, out_and_back)
-        for path in data
-        for name in sequences or (None,)
-    ]
-    what = SlamBench(drives, _names(peers), load_config(config, overrides or ()))
+    drives = drives_of(data, sequences, dataset, scans, out_and_back)
+    what = SlamBench(drives, names(peers), load_config(config, overrides or ()))
     with Meter(what.num_steps(), quiet=quiet) as meter:
-        table = run(what, out, _command(), meter.advance)
-    _show([table], out, quiet)
+        table = run(what, out, command(), meter.advance)
+    show([table], out, quiet)
 
 
 @bench.command("registration")
@@ -71,16 +65,14 @@ def registration(
     out: OutOption,
     dataset: DatasetOption = "auto",
     sequences: SequencesOption = None,
-    distances: Annotated[str, typer.Option(help="Metres, comma-separated.")] = "10,20,30,40",
+    distances: DistancesOption = "10,20,30,40",
     pairs: Annotated[int, typer.Option(min=1, help="Pairs for each distance.")] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="Chooses pairs and turns.")] = 0,
-    peers: Annotated[
-        str, typer.Option(help="Comma-separated.")
-    ] = "kiss-matcher,fpfh-ransac,fgr,icp",
+    seed: SeedOption = 0,
+    peers: PeersOption = "kiss-matcher,fpfh-ransac,fgr,icp",
     pair_list: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A public list of pairs instead.")
     ] = None,
-    truth: Annotated[str, typer.Option(help="given, or odometry where GPS is off.")] = "given",
+    truth: TruthOption = "given",
     different: Annotated[
         Path | None, typer.Option(metavar="DATA", help="A drive through other places.")
     ] = None,
@@ -100,26 +92,22 @@ def registration(
     from sl3d_slam.config import load_config
 
     what = RegistrationBench(
-        drives=[
-            Drive(str(path.resolve()), name, dataset)
-            for path in data
-            for name in sequences or (None,)
-        ],
-        distances_m=_numbers("--distances", distances),
+        drives=drives_of(data, sequences, dataset),
+        distances_m=numbers("--distances", distances),
         num_pairs=pairs,
         seed=seed,
-        peers=_names(peers),
+        peers=names(peers),
         pair_list=pair_list,
         different=None if different is None else Drive(str(different.resolve())),
         truth=truth,
         tilt_deg=tilt,
-        iterations=[int(n) for n in _numbers("--ransac-iterations", ransac_iterations)],
+        iterations=[int(n) for n in numbers("--ransac-iterations", ransac_iterations)],
         config=load_config(config, overrides or ()),
     )
     plan = make_plan(what)
     with Meter(plan.num_pairs() * len(what.methods), "pairs", quiet) as meter:
-        table = run(what, plan, out, _command(), meter.advance)
-    _show([table], out, quiet)
+        table = run(what, plan, out, command(), meter.advance)
+    show([table], out, quiet)
 
 
 @bench.command("loops")
@@ -129,27 +117,22 @@ def loops(
     dataset: DatasetOption = "auto",
     sequences: SequencesOption = None,
     scans: ScansOption = None,
-    peers: Annotated[str, typer.Option(help="Comma-separated.")] = "map-closures",
+    peers: PeersOption = "map-closures",
     out_and_back: OutAndBackOption = False,
     config: ConfigOption = None,
     overrides: SetOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Precision and recall of loops, same direction and reverse, against MapClosures."""
-    from sl3d_slam.bench.drives import Drive
     from sl3d_slam.bench.loops import LoopBench, run
     from sl3d_slam.cli.progress import Meter
     from sl3d_slam.config import load_config
 
-    drives = [
-        Drive(str(path.resolve()), name, dataset, scans, out_and_back)
-        for path in data
-        for name in sequences or (None,)
-    ]
-    what = LoopBench(drives, _names(peers), load_config(config, overrides or ()))
+    drives = drives_of(data, sequences, dataset, scans, out_and_back)
+    what = LoopBench(drives, names(peers), load_config(config, overrides or ()))
     with Meter(what.num_steps(), quiet=quiet) as meter:
-        table = run(what, out, _command(), meter.advance)
-    _show([table], out, quiet)
+        table = run(what, out, command(), meter.advance)
+    show([table], out, quiet)
 
 
 @bench.command("backend")
@@ -185,38 +168,5 @@ def everything(
     from sl3d_slam.cli.progress import Meter
 
     with Meter(None, "steps", quiet) as meter:
-        tables = run(out, quick, seed, _command(), meter.advance)
-    _show(tables, out, quiet)
-
-
-def _numbers(option: str, text: str) -> tuple[float, ...]:
-    from sl3d_slam.errors import InputError
-
-    try:
-        numbers = tuple(float(word) for word in _names(text))
-    except ValueError:
-        raise InputError(f"{option} {text}: expected numbers with commas between") from None
-    if any(not 0.0 < number < float("inf") for number in numbers):
-        raise InputError(f"{option} {text}: expected numbers above zero")
-    return numbers
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
-def _command() -> str:
-    return shlex.join(["sl3d", *sys.argv[1:]])
-
-
-def _show(tables: "Sequence[Table]", out: Path, quiet: bool) -> None:
-    if quiet:
-        return
-    from rich.console import Console
-
-    from sl3d_slam.bench.tables import to_rich
-
-    console = Console()
-    for table in tables:
-        console.print(to_rich(table, console.width))
-    typer.echo(f"results in {out}")
+        tables = run(out, quick, seed, command(), meter.advance)
+    show(tables, out, quiet)
