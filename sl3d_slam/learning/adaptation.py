@@ -45,7 +45,7 @@ def line_votes(
     seen = np.zeros(len(points_lidar), np.float32)
     for _ in range(settings.views):
         chosen, voxel_of = random_view(points_lidar, settings, rng)
-        view = _moved(points_lidar[chosen], settings, rng)
+        view = moved_at_random(points_lidar[chosen], settings, rng)
         (shares,) = line_shares(network, [view], settings.num_neighbours, settings.stride)
         shown = voxel_of >= 0
         lines[shown] += shares[voxel_of[shown]] > settings.threshold
@@ -61,7 +61,7 @@ def random_view(
     The voxel grid lies as in a scan turned and shifted at random; a voxel is shown by one of its
     points. Points whose voxel is not shown get -1.
     """
-    moved = _moved(points_lidar, settings, rng)
+    moved = moved_at_random(points_lidar, settings, rng)
     order = rng.permutation(len(moved))
     keys = voxel_keys(moved[order], settings.voxel_size_m)
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
@@ -85,7 +85,10 @@ def _shown(
     return shown
 
 
-def _moved(points: Points, settings: AdaptationSettings, rng: np.random.Generator) -> Points:
+def moved_at_random(
+    points: Points, settings: AdaptationSettings, rng: np.random.Generator
+) -> Points:
+    """Turn a scan about z and shift it in the plane."""
     half_m, half_turn = 0.5 * settings.shift_m, 0.5 * np.radians(settings.turn_deg)
     shift = np.append(rng.uniform(-half_m, half_m, 2), 0.0)
     return transform_points(from_yaw(float(rng.uniform(-half_turn, half_turn)), shift), points)

@@ -56,7 +56,7 @@ def confirmed(
             verdicts.append(np.ones(len(segments), bool))
             continue
         count = np.zeros(len(segments), np.int64)
-        for other in others:
+        for other in others.tolist():
             T_scan_other = invert(T_world_lidar[scan]) @ T_world_lidar[other]
             count += seen_again(segments, transform_segments(T_scan_other, found[other]), settings)
         needed = max(settings.min_scans, int(np.ceil(settings.min_share * len(others))))

@@ -24,6 +24,18 @@ NUM_TEST_CLOUDS = 40
 NUM_WEIGHED = 64
 
 
+def scale_invariant(width: int = 64, num_neighbours: int = 20) -> NetworkSettings:
+    """Return the network of this stage: shape alone counts, not size, height or surroundings."""
+    return NetworkSettings(
+        width=width,
+        num_neighbours=num_neighbours,
+        scale_invariant=True,
+        context=False,
+        heights=False,
+        drop_ground=False,
+    )
+
+
 class SyntheticRun(Settings):
     """A training run on synthetic clouds: ``epochs`` times the same ``clouds`` of a seed."""
 
@@ -33,7 +45,7 @@ class SyntheticRun(Settings):
     batch: int = Field(default=8, ge=1)
     learning_rate: float = Field(default=1e-3, gt=0)
     shapes: SyntheticSettings = SyntheticSettings()
-    network: NetworkSettings = NetworkSettings(scale_invariant=True, context=False)
+    network: NetworkSettings = scale_invariant()
 
     @property
     def steps(self) -> int:
