@@ -156,6 +156,24 @@ def backend(
         typer.echo(f"results in {out}")
 
 
+@bench.command("scale")
+def scale(
+    out: OutOption,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Small clouds and networks; minutes.")
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of shapes and first weights.")] = 0,
+    quiet: QuietOption = False,
+) -> None:
+    """Line segmentation when the world is scaled: ours, DGCNN, PointNet, PointNet++; simulated."""
+    from sl3d_slam.bench.scale import num_steps, run
+    from sl3d_slam.cli.progress import Meter
+
+    with Meter(num_steps(quick), "steps", quiet) as meter:
+        tables = run(out, quick, seed, _command(), meter.advance)
+    _show(tables, out, quiet)
+
+
 @bench.command("all")
 def everything(
     out: OutOption,
