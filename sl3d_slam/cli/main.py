@@ -4,6 +4,7 @@ A verb's file imports nothing but typer and the standard library at its top, so 
 ``sl3d --help`` answers at once; what the verb needs it imports when it runs.
 """
 
+import os
 from typing import Annotated
 
 import typer
@@ -67,5 +68,10 @@ def _frame(
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line.
+
+    Matrices are small here: more threads of BLAS only wait for each other, by spinning. It reads
+    the variable when numpy is first imported, after this.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     app(prog_name="sl3d")

@@ -7,16 +7,22 @@ and filled in between.
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from scipy import ndimage
 
+from sl3d_slam.geometry.ground_grid import (
+    LOW_BAND_M,
+    above_grid,
+    filled,
+    low_grid,
+    lowest_rows,
+    slope_envelope,
+    without_ghosts,
+)
 from sl3d_slam.geometry.se3 import Points, rotation_between
 
 FIT_RANGE_M = 30.0
 FIT_CELL_M = 1.5
 MAX_TILT_DEG = 25.0
 CELL_M = 1.0
-MAX_SLOPE = 0.25
-LOW_BAND_M = 0.25
 GRID_HALF_WIDTH_M = 64.0
 MIN_CELLS = 8
 MARGIN = 1.5
@@ -60,15 +66,7 @@ def heights_above_ground(
     level = points_lidar @ rotation_between(up, UP).T
     if len(level) == 0:
         return np.zeros(0)
-    ground = _ground_grid(level)
-    last = len(ground) - 1
-    position = np.clip((level[:, :2] + GRID_HALF_WIDTH_M) / CELL_M - 0.5, 0.0, last - 1e-6)
-    cell = position.astype(np.int64)
-    x, y = (position - cell).T
-    flat, corner = ground.ravel(), cell[:, 0] * len(ground) + cell[:, 1]
-    below = flat[corner] * (1 - y) + flat[corner + 1] * y
-    above = flat[corner + len(ground)] * (1 - y) + flat[corner + len(ground) + 1] * y
-    return level[:, 2] - below * (1 - x) - above * x
+    return above_grid(level, _ground_grid(level), GRID_HALF_WIDTH_M, CELL_M)
 
 
 def ground_mask(
@@ -87,12 +85,7 @@ def _lowest_per_cell(
     points: Float64[np.ndarray, "N 3"], cell_m: float
 ) -> Float64[np.ndarray, "C 3"]:
     """Return the lowest point of each occupied cell within the fitting range."""
-    size = int(np.ceil(2 * MARGIN * FIT_RANGE_M / cell_m))
-    cells = ((points[:, :2] + MARGIN * FIT_RANGE_M) / cell_m).astype(np.int64)
-    key = cells[:, 0] * size + cells[:, 1]
-    lowest = np.full(size * size, np.inf)
-    np.minimum.at(lowest, key, points[:, 2])
-    return points[points[:, 2] == lowest[key]]
+    return points[lowest_rows(points, MARGIN * FIT_RANGE_M, cell_m)]
 
 
 def _robust_plane_normal(points: Points, final_scale_m: float) -> Float64[np.ndarray, "3"]:
@@ -111,75 +104,7 @@ def _robust_plane_normal(points: Points, final_scale_m: float) -> Float64[np.nda
 
 def _ground_grid(level: Points) -> Float64[np.ndarray, "X Y"]:
     """Return the height of the ground on a square grid of 1 m cells centred on the sensor."""
-    lowest = _without_ghosts(_low_grid(level))
-    envelope = _slope_envelope(lowest)
+    lowest = without_ghosts(low_grid(level, GRID_HALF_WIDTH_M, CELL_M), CELL_M)
+    envelope = slope_envelope(lowest, CELL_M)
     known = np.isfinite(lowest) & (lowest <= envelope + LOW_BAND_M)
-    return _fill(np.where(known, lowest, 0.0), known)
-
-
-def _low_grid(level: Points) -> Float64[np.ndarray, "X Y"]:
-    """Return the lowest height per cell that a second return confirms; inf elsewhere."""
-    size = round(2 * GRID_HALF_WIDTH_M / CELL_M)
-    cells = np.floor((level[:, :2] + GRID_HALF_WIDTH_M) / CELL_M).astype(np.int64)
-    inside = np.all((cells >= 0) & (cells < size), axis=1)
-    key, z = cells[inside, 0] * size + cells[inside, 1], level[inside, 2]
-    lowest = np.full(size * size, np.inf)
-    np.minimum.at(lowest, key, z)
-    low = z <= lowest[key] + LOW_BAND_M
-    count = np.bincount(key[low], minlength=size * size)
-    total = np.bincount(key[low], weights=z[low], minlength=size * size)
-    mean = np.full(size * size, np.inf)
-    mean[count >= 2] = total[count >= 2] / count[count >= 2]
-    return mean.reshape(size, size)
-
-
-def _without_ghosts(lowest: Float64[np.ndarray, "X Y"]) -> Float64[np.ndarray, "X Y"]:
-    """Drop cells that lie in a hole: mirror images seen below the street.
-
-    A cell goes when most of the cells 2 and 4 m away are higher than a slope could make them.
-    """
-    finite = np.isfinite(lowest)
-    seen = np.zeros(lowest.shape, np.int64)
-    higher = np.zeros(lowest.shape, np.int64)
-    for shift in ((x, y) for x in (-4, -2, 0, 2, 4) for y in (-4, -2, 0, 2, 4) if x or y):
-        other = np.roll(lowest, shift, axis=(0, 1))
-        rise = 0.3 + MAX_SLOPE * CELL_M * np.hypot(*shift)
-        seen += np.isfinite(other)
-        higher += np.isfinite(other) & finite & (other > np.where(finite, lowest, 0.0) + rise)
-    return np.where(2 * higher > seen, np.inf, lowest)
-
-
-def _slope_envelope(lowest: Float64[np.ndarray, "X Y"]) -> Float64[np.ndarray, "X Y"]:
-    """Lower the grid to the largest surface below it whose slope is limited."""
-    envelope = lowest.copy()
-    for step in (1, 2, 4):
-        for shift_x, shift_y in (
-            (1, 0),
-            (-1, 0),
-            (0, 1),
-            (0, -1),
-            (1, 1),
-            (-1, -1),
-            (1, -1),
-            (-1, 1),
-        ):
-            rise = MAX_SLOPE * CELL_M * step * np.hypot(shift_x, shift_y)
-            moved = np.roll(envelope, (step * shift_x, step * shift_y), axis=(0, 1))
-            envelope = np.minimum(envelope, moved + rise)
-    return envelope
-
-
-def _fill(
-    heights: Float64[np.ndarray, "X Y"], known: Bool[np.ndarray, "X Y"]
-) -> Float64[np.ndarray, "X Y"]:
-    """Fill unknown cells by means over ever larger windows; smooth the known ones lightly."""
-    weight = known.astype(np.float64)
-    result = np.zeros_like(heights)
-    done = np.zeros_like(known)
-    for window in (3, 7, 15, 31, 63, 127):
-        mass = ndimage.uniform_filter(weight, window, mode="constant")
-        mean = ndimage.uniform_filter(heights * weight, window, mode="constant")
-        fresh = ~done & (mass > 0.5 / window**2)
-        result[fresh] = mean[fresh] / mass[fresh]
-        done |= fresh
-    return result
+    return filled(np.where(known, lowest, 0.0), known)
