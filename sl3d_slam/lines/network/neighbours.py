@@ -1,8 +1,13 @@
 """Which neighbours of a point the network looks at."""
 
 import numpy as np
-import small_gicp
 from jaxtyping import Int64
+
+from sl3d_slam.lines.network.nearest import nearest_of_ranks
+
+CELL_M = 1.0
+MIN_COLUMNS = 16
+MAX_COLUMNS = 1024
 
 
 def skip_neighbours(points: np.ndarray, k: int, stride: int) -> Int64[np.ndarray, "M k"]:
@@ -15,7 +20,12 @@ def skip_neighbours(points: np.ndarray, k: int, stride: int) -> Int64[np.ndarray
     if len(points) == 0:
         return np.zeros((0, k), np.int64)
     reach = min(stride * k, len(points))
-    ranks = np.arange(k) * reach // k
-    cloud = np.ascontiguousarray(points[:, :3], dtype=np.float64)
-    found, _ = small_gicp.KdTree(cloud).batch_knn_search(cloud, reach, num_threads=2)
-    return np.asarray(found)[:, ranks].astype(np.int64)
+    cells = points[:, :3].astype(np.float64)
+    cells -= cells.min(axis=0)
+    extent_m = float(cells[:, :2].max())
+    cells /= max(min(CELL_M, extent_m / MIN_COLUMNS), extent_m / MAX_COLUMNS, 1e-9)
+    shape = cells.max(axis=0).astype(np.int64) + 1
+    columns = cells[:, 0].astype(np.int64) * shape[1] + cells[:, 1].astype(np.int64)
+    order = np.argsort(columns, kind="stable")
+    start = np.searchsorted(columns[order], np.arange(shape[0] * shape[1] + 1))
+    return nearest_of_ranks(cells, order, start, shape, np.arange(k) * reach // k)
