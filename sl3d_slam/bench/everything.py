@@ -1,11 +1,12 @@
 """``sl3d bench all``: every benchmark once, on one simulated drive, with no data needed."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sl3d_slam.bench import backend, loops, registration, slam
+from sl3d_slam.bench import backend, extract, lines, loops, registration, slam
 from sl3d_slam.bench.drives import Drive
+from sl3d_slam.bench.lines_plan import KINDS, LinesBench, make_methods
 from sl3d_slam.bench.registration_plan import RegistrationBench, make_plan
 from sl3d_slam.bench.tables import Table
 from sl3d_slam.files import prepare_run_folder
@@ -15,6 +16,7 @@ from sl3d_slam.simulation.town import build_town
 from sl3d_slam.simulation.write import Layout, write_drive
 
 Progress = Callable[[str, int], None]
+EXTRACT_SCANS = 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,16 +60,30 @@ def run(
         slam.run(slam.SlamBench([drive]), out / "slam", command, progress),
         registration.run(pairs, make_plan(pairs), out / "registration", command, progress),
         loops.run(loops.LoopBench([drive]), out / "loops", command, progress),
+        *_lines(drive, extent, seed, out, command, progress),
     ]
     progress("backend", 0)
     backend.run(out / "backend", quick)
     return tables
 
 
+def _lines(
+    drive: Drive, extent: Extent, seed: int, out: Path, command: str, progress: Progress
+) -> list[Table]:
+    """Compare the line extractors; without trained weights the learned one's row says so."""
+    methods = make_methods(KINDS, ())
+    found = LinesBench([drive], methods, extent.distances_m, extent.num_pairs, 5, seed=seed)
+    timed = extract.ExtractBench(methods, drives=[replace(drive, scans=EXTRACT_SCANS)])
+    return [
+        *lines.run(found, out / "lines", command, progress),
+        *extract.run(timed, out / "extract", command, progress),
+    ]
+
+
 def _simulated(root: Path, extent: Extent, seed: int, progress: Progress) -> Drive:
     """Return the drive, simulated where it is not there yet."""
     name = f"{extent.road}{seed}"
-    layout = Layout(root, name, truth=False)
+    layout = Layout(root, name)
     if not layout.folder.is_dir():
         planned = plan_drive(build_town(builtin_road(extent.road), seed), extent.sensor)
         write_drive(planned, layout, lambda: progress("simulating", 1))

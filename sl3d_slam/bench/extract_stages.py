@@ -72,5 +72,5 @@ class Stopwatch:
         try:
             yield
         finally:
-            for holder, name, function in replaced:
+            for holder, name, function in reversed(replaced):
                 setattr(holder, name, function)

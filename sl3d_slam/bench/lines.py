@@ -3,16 +3,9 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+from sl3d_slam.bench.lines_columns import COLUMNS, NOTES, TRUE_COLUMNS, TRUE_NOTES
 from sl3d_slam.bench.lines_drive import DriveCounts, measure_drive
-from sl3d_slam.bench.lines_figures import (
-    COLUMNS,
-    NOTES,
-    TRUE_COLUMNS,
-    TRUE_NOTES,
-    PairCounts,
-    pair_figures,
-    scan_figures,
-)
+from sl3d_slam.bench.lines_figures import PairCounts, pair_figures, scan_figures
 from sl3d_slam.bench.lines_pictures import draw_lines_bench
 from sl3d_slam.bench.lines_plan import LinesBench, make_extractor
 from sl3d_slam.bench.lines_truth import in_words

@@ -1,13 +1,14 @@
 """When two lines are the same one: within 0.3 m and 5 degrees of each other."""
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float32, Float64, Int64
 
 from sl3d_slam.geometry.segments import angles_rad, directions, lengths_m
 
 AGREE_M, AGREE_DEG = 0.3, 5.0
 MAX_GAP_M = 1.0
 TOP = 5
+TIE = 1e-6  # float32
 
 
 def gaps_m(
@@ -48,8 +49,8 @@ def agreeing_pairs(gaps: Float64[np.ndarray, "A B"]) -> Int64[np.ndarray, "M 2"]
 
 
 def partner_ranks(
-    first: Float64[np.ndarray, "A D"],
-    second: Float64[np.ndarray, "B D"],
+    first: Float32[np.ndarray, "A D"],
+    second: Float32[np.ndarray, "B D"],
     pairs: Int64[np.ndarray, "M 2"],
 ) -> Int64[np.ndarray, "M"]:
     """Return how many of ``second`` are as near in descriptor as the true partner, 1 at best.
@@ -58,4 +59,4 @@ def partner_ranks(
     """
     similarity = first[pairs[:, 0]] @ second.T
     partner = np.take_along_axis(similarity, pairs[:, 1:], axis=1)
-    return (similarity >= partner - 1e-12).sum(axis=1)
+    return (similarity >= partner - TIE).sum(axis=1)
