@@ -19,10 +19,12 @@ from sl3d_slam.cli.info import info
 from sl3d_slam.cli.lines import lines
 from sl3d_slam.cli.loops import loops
 from sl3d_slam.cli.map import map_
+from sl3d_slam.cli.merge import merge
 from sl3d_slam.cli.register import register
 from sl3d_slam.cli.relocalize import relocalize
 from sl3d_slam.cli.simulate import simulate
 from sl3d_slam.cli.train import train
+from sl3d_slam.cli.view import view
 
 app = typer.Typer(
     cls=Verbs,
@@ -38,7 +40,9 @@ app.command()(register)
 app.command()(lines)
 app.command()(simulate)
 app.command()(info)
+app.command()(merge)
 app.command()(export)
+app.command()(view)
 app.command()(config)
 app.command()(demo)
 app.add_typer(bench, name="bench")

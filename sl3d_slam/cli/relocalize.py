@@ -16,12 +16,21 @@ def relocalize(
     scans: Annotated[
         list[Path], typer.Argument(metavar="SCAN...", help=".bin, .pcd or .ply files.")
     ],
+    window: Annotated[
+        int,
+        typer.Option(
+            min=1, metavar="N", help="Join N successive scans for each answer, the last one's pose."
+        ),
+    ] = 1,
     json: JsonOption = False,
     config: ConfigOption = None,
     overrides: SetOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Find scans in a saved line map. Status 1 where any of them is not found."""
+    """Find scans in a saved line map. Status 1 where any of them is not found.
+
+    With --window N, the scans are a drive in order: odometry joins each N of them.
+    """
     from sl3d_slam.cli.progress import Meter
     from sl3d_slam.config import load_config
     from sl3d_slam.errors import InputError
@@ -37,19 +46,19 @@ def relocalize(
         raise InputError(f"{line_map}: {error}") from None
     answers = []
     with Meter(len(scans), quiet=quiet or json) as meter:
-        for path in scans:
-            answers.append(relocalizer.relocalize(read_scan(path, settings.input)))
-            meter.advance()
+        for start in range(0, len(scans), window):
+            paths = scans[start : start + window]
+            points = [read_scan(path, settings.input) for path in paths]
+            answers.append((paths, relocalizer.relocalize_window(points)))
+            meter.advance(steps=len(paths))
     if json:
         from json import dumps
 
-        typer.echo(
-            dumps([_tree(path, answer) for path, answer in zip(scans, answers, strict=True)])
-        )
+        typer.echo(dumps([_tree(paths, answer) for paths, answer in answers]))
     elif not quiet:
-        for path, answer in zip(scans, answers, strict=True):
-            typer.echo(f"{path}: {sentence(answer)}")
-    if not all(answer.success for answer in answers):
+        for paths, answer in answers:
+            typer.echo(f"{paths[-1]}: {sentence(answer)}")
+    if not all(answer.success for _, answer in answers):
         raise typer.Exit(1)
 
 
@@ -67,10 +76,11 @@ def sentence(answer: "Relocalization") -> str:
     )
 
 
-def _tree(path: Path, answer: "Relocalization") -> dict[str, Any]:
+def _tree(paths: list[Path], answer: "Relocalization") -> dict[str, Any]:
     T_map_lidar = answer.T_map_lidar
     return {
-        "scan": str(path),
+        "scan": str(paths[-1]),
+        "window": [str(path) for path in paths],
         "success": answer.success,
         "T_map_lidar": None if T_map_lidar is None else T_map_lidar.tolist(),
         "information": answer.information.tolist(),

@@ -1,7 +1,10 @@
 """A map cut into places: what a sensor would see around chosen keyframes, ready for matching."""
 
+from collections.abc import Iterator
+
 import numpy as np
-from jaxtyping import Int64
+from jaxtyping import Float64, Int64
+from scipy.spatial import cKDTree
 
 from sl3d_slam.geometry.ground import heights_above_ground
 from sl3d_slam.geometry.se3 import (
@@ -21,13 +24,70 @@ CLOUD_RADIUS_M = 60.0
 UP = np.array([0.0, 0.0, 1.0])
 
 
+class Places:
+    """The places of a map, found and shown in a time that does not grow with the map.
+
+    Attributes
+    ----------
+    line_map : the map.
+    keyframes : (P,) the keyframes that stand for a place each.
+    T_level_map : the turn that makes the map level, as most of its keyframes saw it.
+    """
+
+    def __init__(self, line_map: LineMap) -> None:
+        self.line_map = line_map
+        self.keyframes = choose_places(line_map)
+        self.T_level_map = make_transform(rotation_between(mean_up(line_map), UP), np.zeros(3))
+        self._positions = line_map.T_map_keyframe[:, :3, 3]
+        self._tree = cKDTree(self._positions)
+        level = transform_points(self.T_level_map, self._positions[self.keyframes])
+        self._from_above = cKDTree(level[:, :2])
+
+    def nearest(self, x_m: float, y_m: float) -> int:
+        """Return the keyframe of the place nearest to a point as seen from above.
+
+        The point is given in the map's level frame.
+        """
+        return int(self.keyframes[self._from_above.query((x_m, y_m))[1]])
+
+    def frame(self, keyframe: int) -> Transform:
+        """Return ``T_map_place``, see :func:`place_frame`."""
+        return place_frame(self.line_map, keyframe)
+
+    def landmarks(self, keyframe: int) -> Int64[np.ndarray, "M"]:
+        """Return the landmarks near a place that keyframes around it saw."""
+        position = self._positions[keyframe]
+        near = self._tree.query_ball_point(position, NEIGHBOURHOOD_M)
+        seen = np.unique(np.concatenate([self.line_map.seen_by(k) for k in near]))
+        middles = self.line_map.lines.endpoints[seen].mean(axis=1)
+        gaps_m = np.hypot(*(middles - position)[:, :2].T)
+        return seen[gaps_m < LINE_RADIUS_M]
+
+    def neighbourhoods(self) -> Iterator[Int64[np.ndarray, "M"]]:
+        """Yield the landmarks of each place."""
+        for keyframe in self.keyframes.tolist():
+            yield self.landmarks(keyframe)
+
+    def view(self, keyframe: int) -> View:
+        """Return what the map holds around a place, in the place's own frame."""
+        T_place_map = invert(self.frame(keyframe))
+        cloud_map = self.line_map.cloud_near(self._positions[keyframe], CLOUD_RADIUS_M)
+        cloud = transform_points(T_place_map, cloud_map.astype(np.float64))
+        heights = heights_above_ground(cloud, UP)
+        lines = self.line_map.lines.take(self.landmarks(keyframe)).transformed(T_place_map)
+        return View(lines, UP.copy(), cloud.astype(np.float32), heights.astype(np.float32))
+
+
 def choose_places(line_map: LineMap) -> Int64[np.ndarray, "P"]:
     """Return keyframes at least 6 m from every one chosen before them."""
     positions = line_map.T_map_keyframe[:, :3, 3]
-    chosen: list[int] = []
-    for k, position in enumerate(positions):
-        if np.all(np.linalg.norm(positions[chosen] - position, axis=1) > SPACING_M):
+    tree = cKDTree(positions)
+    taken = np.zeros(len(positions), np.bool_)
+    chosen = []
+    for k in range(len(positions)):
+        if not taken[k]:
             chosen.append(k)
+            taken[tree.query_ball_point(positions[k], SPACING_M)] = True
     return np.array(chosen, np.int64)
 
 
@@ -38,22 +98,8 @@ def place_frame(line_map: LineMap, keyframe: int) -> Transform:
     return make_transform(rotation_between(UP, up_map), T_map_keyframe[:3, 3])
 
 
-def place_landmarks(line_map: LineMap, keyframe: int) -> Int64[np.ndarray, "M"]:
-    """Return the landmarks near a place that keyframes around it saw."""
-    positions = line_map.T_map_keyframe[:, :3, 3]
-    near = np.flatnonzero(np.linalg.norm(positions - positions[keyframe], axis=1) < NEIGHBOURHOOD_M)
-    seen = np.unique(np.concatenate([line_map.seen_by(int(k)) for k in near]))
-    middles = line_map.lines.endpoints[seen].mean(axis=1)
-    gaps_m = np.linalg.norm((middles - positions[keyframe])[:, :2], axis=1)
-    return seen[gaps_m < LINE_RADIUS_M]
-
-
-def place_view(line_map: LineMap, keyframe: int) -> View:
-    """Return what the map holds around a place, in the place's own frame."""
-    T_place_map = invert(place_frame(line_map, keyframe))
-    position = line_map.T_map_keyframe[keyframe, :3, 3]
-    cloud_map = line_map.cloud_near(position, CLOUD_RADIUS_M).astype(np.float64)
-    cloud = transform_points(T_place_map, cloud_map)
-    heights = heights_above_ground(cloud, UP)
-    lines = line_map.lines.take(place_landmarks(line_map, keyframe)).transformed(T_place_map)
-    return View(lines, UP.copy(), cloud.astype(np.float32), heights.astype(np.float32))
+def mean_up(line_map: LineMap) -> Float64[np.ndarray, "3"]:
+    """Return the mean way up of all keyframes, in the map frame; z where there is none."""
+    up = np.einsum("kij,kj->i", line_map.T_map_keyframe[:, :3, :3], line_map.keyframe_up)
+    norm = float(np.linalg.norm(up))
+    return up / norm if norm > 1e-9 else UP.copy()

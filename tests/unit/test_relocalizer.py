@@ -12,9 +12,10 @@ from sl3d_slam.geometry.se3 import (
     make_transform,
     transform_points,
 )
+from sl3d_slam.map_finder import confidence
 from sl3d_slam.mapping.line_map import LineMap, MapOrigin
-from sl3d_slam.mapping.places import choose_places, place_frame, place_landmarks, place_view
-from sl3d_slam.relocalizer import Relocalizer, confidence
+from sl3d_slam.mapping.places import Places, choose_places, place_frame
+from sl3d_slam.relocalizer import Relocalizer
 from sl3d_slam.types import LineSet
 
 TILT = exp(np.array([0.05, -0.08, 0.0, 0.0, 0.0, 0.0]))
@@ -64,7 +65,7 @@ def test_a_place_is_level_at_the_sensor_and_holds_upright_lines(poses, landmarks
     T_map_place = place_frame(line_map, 9)
     np.testing.assert_allclose(T_map_place[:3, 3], poses[9][:3, 3], atol=1e-9)
     np.testing.assert_allclose(T_map_place[:3, 2], [0, 0, 1], atol=1e-3)  # ups are quantised
-    view = place_view(line_map, 9)
+    view = Places(line_map).view(9)
     axes = view.lines.endpoints[:, 1] - view.lines.endpoints[:, 0]
     assert np.abs(axes[:, :2]).max() < 0.05
     np.testing.assert_array_equal(view.up, [0, 0, 1])
@@ -72,7 +73,7 @@ def test_a_place_is_level_at_the_sensor_and_holds_upright_lines(poses, landmarks
 
 def test_a_place_shows_what_stands_around_it_where_it_stands(poses, landmarks):
     line_map = build(poses, landmarks)
-    view = place_view(line_map, 9)
+    view = Places(line_map).view(9)
     T_map_place = place_frame(line_map, 9)
     found = transform_points(T_map_place, view.lines.endpoints.mean(axis=1))[:, :2]
     gaps = np.linalg.norm(found[:, None] - landmarks[None], axis=2).min(axis=1)
@@ -86,8 +87,8 @@ def test_only_landmarks_that_keyframes_nearby_saw_belong_to_a_place(poses, landm
     """A wall between two streets: what the other street saw is not seen from here."""
     there = [make_transform(pose[:3, :3], pose[:3, 3] + [50.0, 0, 0]) for pose in poses]
     line_map = build(poses + there, landmarks, reach_m=30.0)
-    rows = place_landmarks(line_map, 9)
-    near = np.flatnonzero(np.abs(line_map.T_map_keyframe[:, 1, 3] - 27.0) < 18.0)
+    rows = Places(line_map).landmarks(9)
+    near = np.flatnonzero(np.abs(line_map.T_map_keyframe[:, 1, 3] - 27.0) <= 18.0)
     near = near[near < 20]
     assert set(rows) <= set(np.concatenate([line_map.seen_by(int(k)) for k in near]))
 

@@ -1,0 +1,135 @@
+"""Where in a line map is a view? Lines guess, clouds decide, and a second place as good is a no."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sl3d_slam.config import SlamConfig
+from sl3d_slam.errors import InputError
+from sl3d_slam.geometry.se3 import Transform, distance_m, invert, rotation_angle_rad
+from sl3d_slam.mapping.line_map import LineMap
+from sl3d_slam.mapping.places import Places
+from sl3d_slam.matching.judge import Evidence, gather_evidence, objection
+from sl3d_slam.matching.prepared import PreparedView, flatten, lift
+from sl3d_slam.registration import field_agreement
+from sl3d_slam.retrieval import MapGuess, MapRetrieval
+from sl3d_slam.types import Relocalization, View
+
+NUM_GUESSES = 6
+NUM_REFINED = 3
+SAME_POSE_M = 2.0
+SAME_POSE_RAD = np.radians(8.0)
+MIN_LEAD = 2.0  # in log odds, over any other place of the map
+MAP_BIAS = -2.5  # log odds in a map at which right and wrong are equally likely
+LINE_VOTE = 0.05  # what one agreeing line adds to the mean field value
+CACHE_SIZE = 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """One place's refined answer."""
+
+    T_map_lidar: Transform
+    keyframe: int
+    evidence: Evidence
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapAnswer:
+    """An answer, and the keyframe of the place that it was verified against; -1 without one."""
+
+    relocalization: Relocalization
+    keyframe: int
+
+
+class MapFinder:
+    """Finds views in a line map; no extractor, so that a place of another map may be asked too."""
+
+    def __init__(self, line_map: LineMap, config: SlamConfig) -> None:
+        """Index a map. Raises InputError where it holds nothing to be found by."""
+        if len(line_map) == 0 or line_map.cloud is None:
+            raise InputError("the map has no landmarks or no cloud; map again with map.clouds true")
+        self._matching = config.matching
+        needed = config.relocalization.model_dump()
+        self._judging = config.matching.model_copy(update=needed)
+        self._prepared: dict[int, PreparedView] = {}
+        self.places = Places(line_map)
+        self.retrieval = MapRetrieval(self.places, config.matching)
+
+    def find(self, view: View) -> MapAnswer:
+        """Find the pose of a view in the map."""
+        query = PreparedView(view, self._matching)
+        guesses = self.retrieval.guesses(query, NUM_GUESSES)
+        if not guesses:
+            count = len(query.verticals)
+            return _no(f"no constellation of the map fits the {count} standing lines")
+        return self._decide(self._refine_best(query, guesses))
+
+    def _refine_best(self, query: PreparedView, guesses: list[MapGuess]) -> list[_Found]:
+        """Refine the guesses that the bird's-eye fields like best."""
+        lifted: list[tuple[float, int, Transform]] = []
+        for guess in guesses:
+            place = self._place(guess.keyframe)
+            pose = flatten(query, place, guess.T_place_lidar)
+            score = float(field_agreement(query, place, pose[None])[0]) + LINE_VOTE * guess.score
+            lifted.append((score, guess.keyframe, lift(query, place, pose)))
+        found: list[_Found] = []
+        for _, keyframe, T_place_lidar in sorted(lifted, key=lambda one: -one[0])[:NUM_REFINED]:
+            place = self._place(keyframe)
+            evidence = gather_evidence(query, place, T_place_lidar, self._matching)
+            if evidence is not None:
+                T_map_lidar = self.places.frame(keyframe) @ evidence.T_target_source
+                found.append(_Found(T_map_lidar, keyframe, evidence))
+        return sorted(found, key=lambda one: -one.evidence.log_odds)
+
+    def _decide(self, found: list[_Found]) -> MapAnswer:
+        if not found:
+            return _no("the scan has too few points to verify a place with")
+        best = found[0]
+        reason = objection(best.evidence, self._judging)
+        if reason:
+            return _no(reason)
+        others = [one for one in found if not same_pose(one.T_map_lidar, best.T_map_lidar)]
+        lead = best.evidence.log_odds - max(
+            (one.evidence.log_odds for one in others), default=-np.inf
+        )
+        if lead < MIN_LEAD:
+            return _no("two places of the map fit the scan about equally well")
+        answer = Relocalization(
+            success=True,
+            T_map_lidar=best.T_map_lidar,
+            information=best.evidence.information,
+            num_inliers=len(best.evidence.matches),
+            confidence=confidence(best.evidence.log_odds, float(lead)),
+        )
+        return MapAnswer(answer, best.keyframe)
+
+    def _place(self, keyframe: int) -> PreparedView:
+        found = self._prepared.pop(keyframe, None)
+        if found is None:
+            found = PreparedView(self.places.view(keyframe), self._matching)
+        self._prepared[keyframe] = found
+        if len(self._prepared) > CACHE_SIZE:
+            del self._prepared[next(iter(self._prepared))]
+        return found
+
+
+def confidence(log_odds: float, lead: float) -> float:
+    """Return how far an answer may be trusted, in [0, 1]: its odds, and its lead over the next.
+
+    Against the map of a simulated drive the right places of 46 scans of two days had log odds
+    above -0.5, the wrong ones below -4.5.
+    """
+    right = 1.0 / (1.0 + np.exp(MAP_BIAS - log_odds))
+    alone = 1.0 / (1.0 + np.exp(-lead))
+    return float(right * alone)
+
+
+def same_pose(T_map_a: Transform, T_map_b: Transform) -> bool:
+    """Tell whether two answers are one: less than 2 m and 8 degrees apart."""
+    T_a_b = invert(T_map_a) @ T_map_b
+    return distance_m(T_a_b) < SAME_POSE_M and rotation_angle_rad(T_a_b) < SAME_POSE_RAD
+
+
+def _no(reason: str) -> MapAnswer:
+    return MapAnswer(Relocalization(False, None, np.zeros((6, 6)), 0, 0.0, reason), -1)
