@@ -170,8 +170,8 @@ def scale(
     from sl3d_slam.cli.progress import Meter
 
     with Meter(num_steps(quick), "steps", quiet) as meter:
-        tables = run(out, quick, seed, _command(), meter.advance)
-    _show(tables, out, quiet)
+        tables = run(out, quick, seed, command(), meter.advance)
+    show(tables, out, quiet)
 
 
 @bench.command("all")
