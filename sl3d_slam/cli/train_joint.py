@@ -10,10 +10,78 @@ from sl3d_slam.cli.options import QuietOption
 
 def joint(
     data: Annotated[
-        list[Path], typer.Argument(metavar="DATA...", help="Drives, real and simulated.")
+        list[Path],
+        typer.Argument(metavar="DATA...", help="Drives, real and simulated: KITTI or folders."),
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where results go.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the run goes.")],
+    labels: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="DIR", help="Labels of `sl3d train label`; may be repeated."),
+    ] = None,
+    held_out: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="DATA", help="Drive to measure on, never trained on; repeatable."),
+    ] = None,
+    steps: Annotated[int, typer.Option(min=1, help="Pairs of scans to learn from.")] = 6000,
+    seed: Annotated[int, typer.Option(min=0, help="Of weights, pairs and changes.")] = 0,
+    start: Annotated[
+        Path | None, typer.Option("--from", metavar="WEIGHTS", help="Start from these weights.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with a run.")] = False,
+    points: Annotated[int, typer.Option(min=50, help="At most so many a cloud.")] = 12_000,
+    rate: Annotated[float, typer.Option(help="Highest learning rate.")] = 1e-3,
+    contrast: Annotated[
+        float, typer.Option(min=0, help="Weight of the ranking loss; 0 is the paper's loss.")
+    ] = 1.0,
+    real_share: Annotated[
+        float, typer.Option(min=0, max=1, help="Share of pairs from real drives.")
+    ] = 0.5,
+    stride: Annotated[int, typer.Option(min=1, help="Of skip encoding.")] = 4,
+    descriptor_dim: Annotated[int, typer.Option(min=2, help="Numbers a descriptor.")] = 64,
+    neighbours: Annotated[str, typer.Option(help="Found in: space or features.")] = "space",
+    checkpoint_every: Annotated[int, typer.Option(min=1, help="Steps.")] = 200,
+    cache: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Keep prepared drives here.")
+    ] = None,
+    threads: Annotated[int, typer.Option(min=1, help="Of one process.")] = 1,
     quiet: QuietOption = False,
 ) -> None:
-    """Train segmentation and descriptors on pairs of scans of real and simulated drives."""
-    raise NotImplementedError
+    """Train segmentation and descriptors on pairs of scans of real and simulated drives.
+
+    Simulated drives bring their own labels; a real one takes those of --labels, or else lines that
+    several of its scans confirm. Poses of real drives are this package's odometry. Start it with
+    torchrun to train in several processes.
+    """
+    import torch
+    from pydantic import ValidationError
+
+    from sl3d_slam.cli.progress import Meter
+    from sl3d_slam.errors import InputError
+    from sl3d_slam.learning.joint_run import JointPlan, train_joint
+    from sl3d_slam.learning.joint_settings import JointSettings, LossSettings
+    from sl3d_slam.lines.network.settings import NetworkSettings
+
+    torch.set_num_threads(threads)
+    try:
+        settings = JointSettings(
+            steps=steps,
+            seed=seed,
+            points=points,
+            learning_rate=rate,
+            real_share=real_share,
+            loss=LossSettings(contrast=contrast),
+        )
+        network = NetworkSettings.model_validate(
+            {"stride": stride, "descriptor_dim": descriptor_dim, "neighbours": neighbours}
+        )
+    except ValidationError as error:
+        problem = error.errors()[0]
+        raise InputError(f"{problem['loc'][0]}: {problem['msg']}") from None
+    plan = JointPlan(
+        tuple(data), out, tuple(labels or ()), tuple(held_out or ()), start, resume, cache,
+        checkpoint_every,
+    )  # fmt: skip
+    with Meter(None, "scans prepared", quiet) as reading, Meter(steps, "steps", quiet) as meter:
+        train_joint(plan, settings, network, reading.advance, meter.advance)
+    if not quiet:
+        typer.echo(f"weights in {out / 'weights.safetensors'}")

@@ -1,0 +1,151 @@
+"""What ``sl3d train joint`` does: prepare drives, train, and look at drives left out."""
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass, fields, replace
+from pathlib import Path
+
+import torch
+
+from sl3d_slam.files import write_whole
+from sl3d_slam.learning.joint import JointTraining
+from sl3d_slam.learning.joint_settings import JointSettings
+from sl3d_slam.learning.joint_validation import detect, rank
+from sl3d_slam.learning.parallel import joined_team
+from sl3d_slam.learning.prepare import find_sources, prepare_drive
+from sl3d_slam.learning.prepared import PreparedDrive
+from sl3d_slam.lines.network.model import SuperLine3D
+from sl3d_slam.lines.network.settings import NetworkSettings
+from sl3d_slam.lines.network.weights_file import load_weights
+
+VALIDATION, PREPARED = "validation.csv", "prepared"
+
+
+@dataclass(frozen=True, slots=True)
+class JointPlan:
+    """What to train on and with.
+
+    ``start`` are weights to start from, ``held_out`` drives to look at and never to learn from.
+    """
+
+    data: tuple[Path, ...]
+    out: Path
+    labels: tuple[Path, ...] = ()
+    held_out: tuple[Path, ...] = ()
+    start: Path | None = None
+    resume: bool = False
+    cache: Path | None = None
+    checkpoint_every: int = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """One row of ``validation.csv``: shares from 0 to 1 on one drive after some steps."""
+
+    step: int
+    drive: str
+    precision: float
+    recall: float
+    best_f1: float
+    best_threshold: float
+    first_10m: float
+    five_10m: float
+    first_20m: float
+    five_20m: float
+    first_30m: float
+    five_30m: float
+    chance_five: float
+
+
+def train_joint(
+    plan: JointPlan,
+    settings: JointSettings,
+    network: NetworkSettings,
+    prepared: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> SuperLine3D:
+    """Train a network and return it; the folder of the plan gets everything else.
+
+    The same plan and settings give the same weights on one thread, in one go or resumed.
+
+    Raises
+    ------
+    InputError
+        where a drive, labels, weights or a checkpoint cannot be used.
+    OutputError
+        where the folder cannot be written to.
+    """
+    with joined_team() as team:
+        model = start_model(network, settings, plan.start)
+        drives = _prepare(plan, plan.data, model.settings, prepared)
+        held_out = _prepare(plan, plan.held_out, model.settings, prepared) if team.leads else []
+        training = JointTraining(model, drives, settings, plan.out, team)
+        if plan.resume:
+            training.resume()
+        looks: list[Look] = []
+
+        def look(step: int) -> None:
+            looks.extend(look_at_drive(model, drive, step) for drive in held_out)
+            if looks:
+                write_looks(plan.out / VALIDATION, looks)
+
+        training.run(progress, plan.checkpoint_every, look=look)
+    return model
+
+
+def start_model(
+    network: NetworkSettings, settings: JointSettings, start: Path | None
+) -> SuperLine3D:
+    """Return a new network drawn from the seed, or the one of a weights file, and its settings."""
+    if start is not None:
+        return load_weights(start)
+    torch.manual_seed(settings.seed)
+    return SuperLine3D(network)
+
+
+def _prepare(
+    plan: JointPlan,
+    data: Sequence[Path],
+    network: NetworkSettings,
+    progress: Callable[[str], None],
+) -> list[PreparedDrive]:
+    cache = plan.cache or plan.out / PREPARED
+    drives = [
+        prepare_drive(source, cache, network, progress)
+        for source in find_sources(data, plan.labels)
+    ]
+    return [replace(drive, name=f"{index}:{drive.name}") for index, drive in enumerate(drives)]
+
+
+def look_at_drive(model: SuperLine3D, drive: PreparedDrive, step: int) -> Look:
+    """Measure a network on one drive."""
+    found, rankings = detect(model, drive), rank(model, drive)
+    near, middle, far = rankings
+    return Look(
+        step=step,
+        drive=drive.name,
+        precision=found.precision,
+        recall=found.recall,
+        best_f1=found.best_f1,
+        best_threshold=found.best_threshold,
+        first_10m=near.first,
+        five_10m=near.top_five,
+        first_20m=middle.first,
+        five_20m=middle.top_five,
+        first_30m=far.first,
+        five_30m=far.top_five,
+        chance_five=far.chance_five,
+    )
+
+
+def write_looks(path: Path, looks: Sequence[Look]) -> None:
+    """Write one row a look under the names of the columns."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow([field.name for field in fields(Look)])
+    for look in looks:
+        table.writerow(
+            [f"{value:.4f}" if isinstance(value, float) else value for value in astuple(look)]
+        )
+    write_whole(path, text.getvalue())
