@@ -3,9 +3,12 @@
 The pipeline and the plugin run this same stage; who owns the graph makes no difference to it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import overload
 
 import numpy as np
+from jaxtyping import Float32
 
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.geometry.se3 import Points, Transform, distance_m, invert
@@ -14,46 +17,63 @@ from sl3d_slam.loops.candidates import nearest_by_estimate, thin_votes
 from sl3d_slam.loops.constellations import ConstellationIndex
 from sl3d_slam.matching.judge import gather_evidence, objection
 from sl3d_slam.matching.prepared import PreparedView, lift
-from sl3d_slam.matching.views import PackedView, make_view, pack, unpack
+from sl3d_slam.matching.views import from_bytes, pack, to_bytes, unpack
+from sl3d_slam.records import RecordFile
 from sl3d_slam.registration import field_agreement
 from sl3d_slam.types import LoopConstraint, Rejection, View
+from sl3d_slam.viewing import view_of
 
 CACHE_SIZE = 24
 
 
 class LoopCloser:
-    """Views of all keyframes and the constellations in them.
+    """Views of all keyframes, kept in a file, and the constellations in them.
 
     ``add`` remembers a keyframe, ``search`` looks for loops to earlier ones.
     """
 
-    def __init__(self, config: SlamConfig, extractor: LineExtractor | None = None) -> None:
+    def __init__(self, config: SlamConfig, records: RecordFile | None = None) -> None:
+        """Keep views in ``records``, or in a temporary file."""
         self._config = config
-        self._extractor = extractor or LineExtractor(config.lines)
         self._index = ConstellationIndex()
-        self._views: dict[int, PackedView] = {}
+        self._records = RecordFile.temporary() if records is None else records
         self._cache: dict[int, PreparedView] = {}
         self._travelled_m: dict[int, float] = {}
         self._T_odom_last: Transform | None = None
 
+    @cached_property
+    def _extractor(self) -> LineExtractor:
+        return LineExtractor(self._config.lines)
+
+    def has_view(self, keyframe_id: int) -> bool:
+        """Tell whether the view of a keyframe is kept already."""
+        return _name(keyframe_id) in self._records
+
     def view(self, keyframe_id: int) -> View:
         """Return what was kept of a keyframe, in its lidar frame."""
-        return unpack(self._views[keyframe_id])
+        return unpack(from_bytes(self._records[_name(keyframe_id)]))
 
     def make_view(self, points_lidar: Points) -> View:
         """Extract what loops need from a scan."""
-        lines = self._extractor.extract(points_lidar)
-        return make_view(points_lidar, lines, self._config.matching.cloud_voxel_m)
+        return view_of(points_lidar, self._extractor, self._config)
 
     def add(self, keyframe_id: int, view: View, T_odom_lidar: Transform) -> None:
         """Remember a keyframe; ids grow, and odometry tells how far it is from the last one."""
+        self.keep(keyframe_id, to_bytes(pack(view)))
+        self.add_kept(keyframe_id, T_odom_lidar)
+
+    def keep(self, keyframe_id: int, packed: bytes) -> None:
+        """Keep the view of a keyframe, packed as bytes."""
+        self._records[_name(keyframe_id)] = packed
+
+    def add_kept(self, keyframe_id: int, T_odom_lidar: Transform) -> None:
+        """Remember a keyframe whose view is kept."""
         travelled = 0.0
         if self._T_odom_last is not None:
             step_m = distance_m(invert(self._T_odom_last) @ T_odom_lidar)
             travelled = next(reversed(self._travelled_m.values())) + step_m
         self._travelled_m[keyframe_id] = travelled
         self._T_odom_last = T_odom_lidar
-        self._views[keyframe_id] = pack(view)
         verticals = self._prepared(keyframe_id).verticals
         self._index.add(keyframe_id, verticals.xy, verticals.weights)
 
@@ -132,3 +152,28 @@ class LoopCloser:
         if len(self._cache) > CACHE_SIZE:
             del self._cache[next(iter(self._cache))]
         return found
+
+
+class KeptClouds(Sequence[Float32[np.ndarray, "N 3"]]):
+    """The coarse clouds of keyframes, each read from the file when it is asked for."""
+
+    def __init__(self, closer: LoopCloser, keyframe_ids: Sequence[int]) -> None:
+        self._closer, self._ids = closer, keyframe_ids
+
+    def __len__(self) -> int:
+        """Return the number of clouds."""
+        return len(self._ids)
+
+    @overload
+    def __getitem__(self, index: int) -> Float32[np.ndarray, "N 3"]: ...
+    @overload
+    def __getitem__(self, index: slice) -> "KeptClouds": ...
+    def __getitem__(self, index: int | slice) -> "Float32[np.ndarray, 'N 3'] | KeptClouds":
+        """Read one cloud; a slice reads none yet."""
+        if isinstance(index, slice):
+            return KeptClouds(self._closer, self._ids[index])
+        return self._closer.view(self._ids[index]).cloud
+
+
+def _name(keyframe_id: int) -> str:
+    return f"view {keyframe_id}"

@@ -42,7 +42,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
-        raise OutputError(f"{path}: cannot be written because {_reason(error)}") from None
+        raise OutputError(f"{path}: cannot be written because {why(error)}") from None
 
 
 def prepare_run_folder(path: Path) -> Path:
@@ -64,12 +64,13 @@ def prepare_run_folder(path: Path) -> Path:
         raise OutputError(f"{path}: is a file; expected a folder for the results") from None
     except OSError as error:
         raise OutputError(
-            f"{path}: cannot be used as the folder for the results because {_reason(error)}"
+            f"{path}: cannot be used as the folder for the results because {why(error)}"
         ) from None
     return path
 
 
-def _reason(error: OSError) -> str:
+def why(error: OSError) -> str:
+    """Return in words why the system refused a file."""
     return _REASONS.get(error.errno or 0, error.strerror or "of an unknown system error")
 
 

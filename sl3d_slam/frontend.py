@@ -21,7 +21,7 @@ import numpy as np
 
 from sl3d_slam.closing import LoopCloser
 from sl3d_slam.config import SlamConfig
-from sl3d_slam.errors import GraphError, InputError
+from sl3d_slam.errors import GraphError
 from sl3d_slam.geometry.se3 import Points, Transform, invert
 from sl3d_slam.graph.arbiter import LoopArbiter
 from sl3d_slam.graph.ledger import FactorLedger
@@ -32,7 +32,7 @@ from sl3d_slam.graph.noise import Matrix6, covariance_to_gtsam
 from sl3d_slam.graph.rigid import rigid_transform
 from sl3d_slam.graph.user_keys import MAP_ID, UserKeys, key_name
 from sl3d_slam.graph.verdicts import Verdict
-from sl3d_slam.io.points import usable
+from sl3d_slam.io.points import checked_points, usable
 from sl3d_slam.types import LoopConstraint, Rejection
 
 if TYPE_CHECKING:
@@ -206,9 +206,7 @@ class LineLoopFrontend:
 
 
 def _scan(points_lidar: np.ndarray, config: SlamConfig, name: str) -> Points:
-    points = np.asarray(points_lidar, np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"{name}: points have shape {points.shape}, expected (N, 3) in metres")
+    points = checked_points(points_lidar, name)
     return np.ascontiguousarray(points[usable(points, config.input, name)])
 
 

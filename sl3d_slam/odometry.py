@@ -78,14 +78,19 @@ class Odometry:
         self._first_points: Points | None = None
         self._count = 0
 
-    def register(self, scan: Scan) -> RegisteredScan:
-        """Deskew a scan, find its pose in the odometry frame and add it to the local map."""
+    def register(self, scan: Scan, T_known: Transform | None = None) -> RegisteredScan:
+        """Deskew a scan, find its pose in the odometry frame and add it to the local map.
+
+        ``T_known`` is what an earlier run found for this scan; it is then not looked for again.
+        """
         points = self._preprocessor.preprocess(
             scan.points_lidar, _usable_times(scan), self._T_last_next
         )
         map_points = voxel_down_sample(points, 0.5 * self._voxel_size_m)
         surfaces = _surfaces_of(map_points) if self._refines else None
-        T_odom_lidar = self._find_pose(map_points, surfaces)
+        guess = self._T_odom_last @ self._T_last_next
+        T_odom_lidar = self._find_pose(map_points, surfaces, guess) if T_known is None else T_known
+        self._threshold.update_model_deviation(invert(guess) @ T_odom_lidar)
         self._first_points = points if self._count == 0 else None
         self._count += 1
         self._local_map.update(map_points, T_odom_lidar)
@@ -95,18 +100,15 @@ class Odometry:
         self._T_odom_last = T_odom_lidar
         return RegisteredScan(scan.index, scan.stamp_s, points, T_odom_lidar)
 
-    def _find_pose(self, map_points: Points, surfaces: small_gicp.PointCloud | None) -> Transform:
-        """Find the pose near the constant-velocity guess, and learn how far off the guess was."""
-        guess = self._T_odom_last @ self._T_last_next
+    def _find_pose(
+        self, map_points: Points, surfaces: small_gicp.PointCloud | None, guess: Transform
+    ) -> Transform:
+        """Find the pose near the constant-velocity guess."""
         source = voxel_down_sample(map_points, self._source_voxel_m)
-        if self._first_points is not None:
-            T_odom_lidar = self._best_of_starts(
-                source, surfaces, map_points, cKDTree(self._first_points)
-            )
-        else:
-            T_odom_lidar = self._align(source, surfaces, guess)
-        self._threshold.update_model_deviation(invert(guess) @ T_odom_lidar)
-        return T_odom_lidar
+        if self._first_points is None:
+            return self._align(source, surfaces, guess)
+        first = cKDTree(self._first_points)
+        return self._best_of_starts(source, surfaces, map_points, first)
 
     def _align(
         self, source: Points, surfaces: small_gicp.PointCloud | None, guess: Transform

@@ -1,26 +1,49 @@
 """A whole drive: scans in, trajectory, loops, graph and line map out.
 
-``process_scan`` is the order of the stages; each does its work in its own module.
+``process`` is the order of the stages; each does its work in its own module.
 """
 
 import time
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
-from sl3d_slam.closing import LoopCloser
+from sl3d_slam.closing import KeptClouds, LoopCloser
 from sl3d_slam.config import SlamConfig, dump_config
 from sl3d_slam.errors import InputError
+from sl3d_slam.geometry.se3 import Transform
 from sl3d_slam.graph.final import optimise_all_scans
 from sl3d_slam.graph.pose_graph import PoseGraph
-from sl3d_slam.io.points import usable
+from sl3d_slam.io.points import checked_points, usable
+from sl3d_slam.journal import Journal
 from sl3d_slam.keyframes import KeyframeSelector
 from sl3d_slam.mapping.line_map import LineMap, MapOrigin
 from sl3d_slam.odometry import Odometry
 from sl3d_slam.run import Run, StageTimes
-from sl3d_slam.types import LoopConstraint, LoopRecord, RegisteredScan, Rejection, Scan, Trajectory
+from sl3d_slam.types import (
+    Keyframe,
+    LoopConstraint,
+    LoopRecord,
+    RegisteredScan,
+    Rejection,
+    Scan,
+    Trajectory,
+)
+from sl3d_slam.viewing import Made, ViewMaker, result_of
+
+
+class _Opened(NamedTuple):
+    """A keyframe whose view is being made; None where it is kept already."""
+
+    id: int
+    scan_index: int
+    T_odom_lidar: Transform
+    view: "Future[Made] | None"
 
 
 class SlamPipeline:
@@ -32,15 +55,28 @@ class SlamPipeline:
     >>> for points in scans:
     ...     slam.process_scan(points)
     >>> run = slam.finish()
+
+    With ``workers`` lines are found in so many other processes while odometry goes on; what comes
+    out is the same to the bit. Loops of a keyframe are then known a few scans later. A ``journal``
+    that knows the first scans of the drive saves the work on them, not their reading.
     """
 
-    def __init__(self, config: SlamConfig | None = None, simulated: bool = False) -> None:
+    def __init__(
+        self,
+        config: SlamConfig | None = None,
+        simulated: bool = False,
+        workers: int = 0,
+        journal: Journal | None = None,
+    ) -> None:
         """Start with no scan; ``simulated`` labels what comes out."""
         self.config = config or SlamConfig()
         self._simulated = simulated
         self._odometry = Odometry(self.config.odometry, self.config.input)
         self._keyframes = KeyframeSelector(self.config.keyframes)
-        self._closer = LoopCloser(self.config)
+        self._maker = ViewMaker(self.config, workers)
+        self._journal = journal or Journal()
+        self._closer = LoopCloser(self.config, self._journal.records)
+        self._opened: deque[_Opened] = deque()
         self._graph = PoseGraph(self.config.graph)
         self._stamps_s: list[float] = []
         self._T_odom_lidar: list[np.ndarray] = []
@@ -66,9 +102,7 @@ class SlamPipeline:
         of range are left out; a scan with too few points left raises InputError.
         """
         index = len(self._stamps_s)
-        points = np.asarray(points_lidar, np.float64)
-        if points.ndim != 2 or points.shape[1] != 3:
-            raise InputError(f"scan {index}: shape {points.shape}, expected (N, 3) in metres")
+        points = checked_points(points_lidar, f"scan {index}")
         keep = usable(points, self.config.input, f"scan {index}")
         times = None if stamps is None else _checked_stamps(stamps, len(points), index)[keep]
         if stamp_s is None:
@@ -77,24 +111,25 @@ class SlamPipeline:
 
     def process(self, scan: Scan) -> RegisteredScan:
         """Take the next scan as a reader gives it."""
+        index = len(self._stamps_s)
         with self._timed("scan"):
             with self._timed("odometry"):
-                registered = self._odometry.register(scan)
+                registered = self._odometry.register(scan, self._journal.pose(index))
+            self._journal.note_scan(index, registered)
             self._stamps_s.append(scan.stamp_s)
             self._T_odom_lidar.append(registered.T_odom_lidar)
             keyframe = self._keyframes.add(registered)
             if keyframe is not None:
-                with self._timed("lines"):
-                    view = self._closer.make_view(keyframe.points_lidar)
-                    self._closer.add(keyframe.id, view, keyframe.T_odom_lidar)
-                self._extend_graph(keyframe.id)
-                self._close_loops(keyframe.id)
+                self._open(keyframe, index)
+            self._take_up(2 * self._maker.workers)
         return registered
 
     def finish(self) -> Run:
         """Optimise over all scans and build the map; the pipeline may not be used afterwards."""
         if not self._stamps_s:
             raise InputError("no scan was given, so there is nothing to map")
+        self._take_up(0)
+        self._maker.close()
         with self._timed("final"):
             self._graph.settle()
             T_odom_lidar = np.array(self._T_odom_lidar)
@@ -107,6 +142,7 @@ class SlamPipeline:
             )
         with self._timed("map"):
             line_map = self._build_map(final.T_world_lidar)
+        self._journal.close()
         stamps_s = np.array(self._stamps_s)
         return Run(
             config=self.config,
@@ -119,18 +155,41 @@ class SlamPipeline:
             times=self._times,
         )
 
-    def _extend_graph(self, keyframe_id: int) -> None:
-        scan_index = len(self._stamps_s) - 1
-        last = self._scan_of_keyframe.get(keyframe_id - 1, scan_index)
-        self._scan_of_keyframe[keyframe_id] = scan_index
+    def _open(self, keyframe: Keyframe, scan_index: int) -> None:
+        """Have the view of a keyframe made, where it is not kept from an interrupted run."""
+        kept = self._closer.has_view(keyframe.id)
+        view = None if kept else self._maker.start(keyframe.points_lidar)
+        self._opened.append(_Opened(keyframe.id, scan_index, keyframe.T_odom_lidar, view))
+
+    def _take_up(self, limit: int) -> None:
+        """Go on with the keyframes whose views are made, in order; wait where more are open."""
+        while self._opened:
+            view = self._opened[0].view
+            if len(self._opened) <= limit and not (view is None or view.done()):
+                break
+            self._extend(self._opened.popleft())
+
+    def _extend(self, keyframe: _Opened) -> None:
+        """Add a keyframe to graph and constellations and look for its loops."""
+        if keyframe.view is not None:
+            packed, seconds = result_of(keyframe.view)
+            self._times.add("lines", seconds)
+            self._closer.keep(keyframe.id, packed)
+        self._closer.add_kept(keyframe.id, keyframe.T_odom_lidar)
+        last = self._scan_of_keyframe.get(keyframe.id - 1, keyframe.scan_index)
+        self._scan_of_keyframe[keyframe.id] = keyframe.scan_index
+        steps = keyframe.scan_index - last
         with self._timed("graph"):
-            self._graph.add_keyframe(keyframe_id, self._T_odom_lidar[-1], scan_index - last)
+            self._graph.add_keyframe(keyframe.id, keyframe.T_odom_lidar, steps)
+        if self.config.loops.enabled:
+            self._close_loops(keyframe.id)
 
     def _close_loops(self, keyframe_id: int) -> None:
-        if not self.config.loops.enabled:
-            return
-        with self._timed("loops"):
-            outcomes = self._closer.search(keyframe_id, self._graph.estimates())
+        outcomes = self._journal.outcomes(keyframe_id)
+        if outcomes is None:
+            with self._timed("loops"):
+                outcomes = self._closer.search(keyframe_id, self._graph.estimates())
+            self._journal.note_outcomes(keyframe_id, outcomes)
         for outcome in outcomes:
             if isinstance(outcome, LoopConstraint):
                 with self._timed("graph"):
@@ -139,13 +198,17 @@ class SlamPipeline:
                 self._rejections.append(outcome)
 
     def _build_map(self, T_world_lidar: Float64[np.ndarray, "N 4 4"]) -> LineMap:
-        scans = list(self._scan_of_keyframe.values())
-        views = [self._closer.view(keyframe_id) for keyframe_id in self._scan_of_keyframe]
+        keyframes = list(self._scan_of_keyframe)
+        lines, up = [], []
+        for keyframe_id in keyframes:
+            view = self._closer.view(keyframe_id)
+            lines.append(view.lines)
+            up.append(view.up)
         return LineMap.build(
-            [view.lines for view in views],
-            T_world_lidar[scans],
-            np.array([view.up for view in views]),
-            [view.cloud for view in views] if self.config.map.clouds else None,
+            lines,
+            T_world_lidar[list(self._scan_of_keyframe.values())],
+            np.array(up),
+            KeptClouds(self._closer, keyframes) if self.config.map.clouds else None,
             self.config.map,
             MapOrigin(config=dump_config(self.config), simulated=self._simulated),
         )

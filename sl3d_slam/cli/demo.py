@@ -27,7 +27,7 @@ def demo(
     """Map a simulated street drive with a loop, then relocalize scans of another day in the map."""
     from rich.console import Console
 
-    from sl3d_slam.cli.map import run_map
+    from sl3d_slam.cli.map import Mapping, run_map
     from sl3d_slam.config import load_config
     from sl3d_slam.files import prepare_run_folder
     from sl3d_slam.report.summary import summary_table
@@ -42,7 +42,7 @@ def demo(
     console.print(
         f"Mapping a simulated drive of {len(drive)} scans (the first one compiles the kernels) ..."
     )
-    figures = run_map(as_dataset(drive, "demo"), out, load_config(), None, quiet)
+    figures = run_map(as_dataset(drive, "demo"), out, Mapping(load_config(), quiet=quiet))
     console.print(summary_table(figures, "simulated drive"))
     console.print("Relocalizing scans of another day, sensor turned at random, no first guess ...")
     num_right = _relocalize(out, plan_drive(town, day=1), seed, console)

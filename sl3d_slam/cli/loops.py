@@ -15,6 +15,7 @@ from sl3d_slam.cli.options import (
     SequenceOption,
     SetOption,
     TopicOption,
+    WorkersOption,
 )
 
 if TYPE_CHECKING:
@@ -35,11 +36,12 @@ def loops(
     scans: ScansOption = None,
     config: ConfigOption = None,
     overrides: SetOption = None,
+    workers: WorkersOption = None,
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> None:
     """Find the loops of a drive. Status 1 where there is none."""
-    from sl3d_slam.cli.map import drive_through
+    from sl3d_slam.cli.map import Mapping, drive_through
     from sl3d_slam.config import load_config
     from sl3d_slam.io.json_files import write_json
     from sl3d_slam.io.open import open_dataset
@@ -47,7 +49,7 @@ def loops(
 
     settings = load_config(config, overrides or ())
     opened = open_dataset(data, settings.input, dataset, sequence, topic)
-    run = drive_through(opened, settings, scans, quiet or json)
+    run = drive_through(opened, Mapping(settings, scans, quiet or json, workers))
     found = run.loops
     if out is not None:
         write_json(out, [loop_tree(loop) for loop in found])

@@ -1,5 +1,6 @@
 """``sl3d map``: a whole sequence to poses, loops, graph, line map, numbers and pictures."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,11 +16,13 @@ from sl3d_slam.cli.options import (
     SequenceOption,
     SetOption,
     TopicOption,
+    WorkersOption,
 )
 
 if TYPE_CHECKING:
     from sl3d_slam.config import SlamConfig
     from sl3d_slam.io.dataset import Dataset
+    from sl3d_slam.journal import Journal
     from sl3d_slam.run import Run
 
 
@@ -32,6 +35,11 @@ def map_(
     scans: ScansOption = None,
     config: ConfigOption = None,
     overrides: SetOption = None,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Continue an interrupted run in the same folder, if any."),
+    ] = False,
+    workers: WorkersOption = None,
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> None:
@@ -39,11 +47,15 @@ def map_(
     from sl3d_slam.config import load_config
     from sl3d_slam.files import prepare_run_folder
     from sl3d_slam.io.open import open_dataset
+    from sl3d_slam.journal import open_journal
 
     settings = load_config(config, overrides or ())
     opened = open_dataset(data, settings.input, dataset, sequence, topic)
     prepare_run_folder(out)
-    figures = run_map(opened, out, settings, scans, quiet)
+    journal = open_journal(out, _identity(opened, settings), resume)
+    slam = Mapping(settings, scans, quiet, workers, journal)
+    figures = run_map(opened, out, slam)
+    journal.remove()
     if json:
         from json import dumps
 
@@ -57,32 +69,53 @@ def map_(
         Console().print(summary_table(figures, f"{kind} {opened.name} -> {out}"))
 
 
-def run_map(
-    opened: "Dataset", out: Path, settings: "SlamConfig", scans: int | None, quiet: bool
-) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Mapping:
+    """How a drive is mapped; ``workers`` None is one where there is a processor for it."""
+
+    settings: "SlamConfig"
+    scans: int | None = None
+    quiet: bool = False
+    workers: int | None = None
+    journal: "Journal | None" = None
+
+
+def run_map(opened: "Dataset", out: Path, mapping: Mapping) -> dict[str, Any]:
     """Map an opened dataset into a run folder and return the metrics."""
     import time
 
     start_s = time.perf_counter()
-    run = drive_through(opened, settings, scans, quiet)
+    run = drive_through(opened, mapping)
     wall_s = time.perf_counter() - start_s
     rate = len(run.trajectory) / wall_s
     return run.save(out, opened, {"wall_s": wall_s, "scans_per_s": rate})
 
 
-def drive_through(
-    opened: "Dataset", settings: "SlamConfig", scans: int | None, quiet: bool
-) -> "Run":
+def drive_through(opened: "Dataset", mapping: Mapping) -> "Run":
     """Take an opened dataset through the pipeline; say its warnings, show the progress."""
     from sl3d_slam.cli.progress import Meter
     from sl3d_slam.pipeline import SlamPipeline
+    from sl3d_slam.viewing import spare_processors
 
     for warning in opened.warnings:
         typer.echo(f"sl3d: {warning}", err=True)
-    slam = SlamPipeline(settings, simulated=opened.simulated)
-    total = len(opened) if scans is None else min(scans, len(opened))
-    with Meter(total, quiet=quiet) as meter:
+    workers = min(1, spare_processors()) if mapping.workers is None else mapping.workers
+    slam = SlamPipeline(mapping.settings, opened.simulated, workers, mapping.journal)
+    total = len(opened) if mapping.scans is None else min(mapping.scans, len(opened))
+    with Meter(total, quiet=mapping.quiet) as meter:
         for scan in opened.iterate(0, total):
             slam.process(scan)
             meter.advance(f"loops {slam.num_loops}")
     return slam.finish()
+
+
+def _identity(opened: "Dataset", settings: "SlamConfig") -> dict[str, str]:
+    """Return what must be the same for an interrupted run to be continued."""
+    from sl3d_slam import __version__
+    from sl3d_slam.config import dump_config
+
+    return {
+        "input": opened.description,
+        "config": dump_config(settings),
+        "version of sl3d_slam": __version__,
+    }

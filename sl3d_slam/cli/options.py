@@ -31,3 +31,13 @@ TopicOption = Annotated[
 ScansOption = Annotated[
     int | None, typer.Option("--scans", min=1, help="Only the first so many scans.")
 ]
+WorkersOption = Annotated[
+    int | None,
+    typer.Option(
+        "--workers",
+        min=0,
+        max=64,
+        help="Processes that find lines beside odometry; 0 for one after the other "
+        "(default: one, where there is a processor for it). The results are the same.",
+    ),
+]

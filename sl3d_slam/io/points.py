@@ -93,6 +93,14 @@ def make_scan(
     return Scan(position[0], position[1], cloud.points[keep], times_s)
 
 
+def checked_points(points_lidar: np.ndarray, source: str) -> Points:
+    """Return a caller's points as float64, or raise InputError where they are no (N, 3)."""
+    points = np.asarray(points_lidar, np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"{source}: points have shape {points.shape}, expected (N, 3) in metres")
+    return points
+
+
 def usable(points: Points, settings: InputSettings, source: str) -> np.ndarray:
     """Return the mask of finite points within the range limits, or raise InputError."""
     with np.errstate(over="ignore", invalid="ignore"):

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float16, Float64, Int16
+from safetensors.numpy import load, save
 
 from sl3d_slam.geometry.ground import heights_above_ground, up_direction
 from sl3d_slam.geometry.se3 import Points
@@ -11,6 +12,7 @@ from sl3d_slam.matching.dense import coarse_cloud
 from sl3d_slam.types import LineSet, View
 
 CENTIMETRE = 0.01
+LINE_COLUMNS = ("endpoints", "descriptors", "num_points", "kinds", "scores")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +42,21 @@ def pack(view: View) -> PackedView:
     """Store a view compactly."""
     cloud_cm = np.round(view.cloud / CENTIMETRE).astype(np.int16)
     return PackedView(view.lines, view.up, cloud_cm, view.heights.astype(np.float16))
+
+
+def to_bytes(packed: PackedView) -> bytes:
+    """Write a packed view in the safetensors format."""
+    lines = packed.lines
+    columns = {f"lines.{name}": getattr(lines, name) for name in LINE_COLUMNS}
+    rest = {"up": packed.up, "cloud_cm": packed.cloud_cm, "heights": packed.heights}
+    return save({name: np.ascontiguousarray(array) for name, array in (columns | rest).items()})
+
+
+def from_bytes(raw: bytes) -> PackedView:
+    """Undo :func:`to_bytes`, exactly."""
+    arrays = load(raw)
+    lines = LineSet(**{name: arrays[f"lines.{name}"] for name in LINE_COLUMNS})
+    return PackedView(lines, arrays["up"], arrays["cloud_cm"], arrays["heights"])
 
 
 def unpack(packed: PackedView) -> View:

@@ -1,4 +1,6 @@
-"""The same scans give the same run, bit for bit, from the command line and from Python."""
+"""The same scans give the same run, bit for bit: from the command line, with lines found beside
+odometry, and from Python, one after the other.
+"""
 
 import json
 
@@ -11,7 +13,7 @@ from sl3d_slam.graph.g2o import read_g2o
 
 @pytest.fixture(scope="module")
 def again(ring_dataset):
-    """A second run, in this process."""
+    """A second run, all in this process; the first one had a worker."""
     slam = SlamPipeline(load_config(), simulated=True)
     for scan in ring_dataset:
         slam.process(scan)

@@ -1,0 +1,124 @@
+"""What loops need of a scan, made here or in processes beside this one.
+
+Lines depend on nothing but their scan, so where they are found changes no result. KISS-ICP and
+small_gicp hold Python's lock while they work: threads would only take turns.
+"""
+
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+
+import numba
+
+from sl3d_slam.config import SlamConfig
+from sl3d_slam.errors import Sl3dError
+from sl3d_slam.geometry.se3 import Points
+from sl3d_slam.lines.extract import LineExtractor
+from sl3d_slam.matching.views import make_view, pack, to_bytes
+from sl3d_slam.types import View
+
+Made = tuple[bytes, float]  # a packed view as bytes, and the seconds it took
+
+
+def view_of(points_lidar: Points, extractor: LineExtractor, config: SlamConfig) -> View:
+    """Extract what loops need from a scan."""
+    lines = extractor.extract(points_lidar)
+    return make_view(points_lidar, lines, config.matching.cloud_voxel_m)
+
+
+def spare_processors() -> int:
+    """Return how many processors this process may use besides one."""
+    affinity = getattr(os, "sched_getaffinity", None)  # not on macOS
+    return (len(affinity(0)) if affinity else os.cpu_count() or 1) - 1
+
+
+class ViewMaker:
+    """Makes packed views of scans, one after the other or, with workers, beside the caller.
+
+    Worker processes are spawned: a script that asks for them needs the usual
+    ``if __name__ == "__main__":``. They end with this process, however it ends.
+    """
+
+    def __init__(self, config: SlamConfig, workers: int = 0) -> None:
+        self.workers = workers
+        self._make: Callable[[Points], Made] | None = None
+        self._pool: ProcessPoolExecutor | None = None
+        if workers == 0:
+            self._make = _Bench(config)
+        else:
+            spawn = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(workers, spawn, _begin, (config,))
+            self._pool.submit(int)  # starts the first process while the first scan is registered
+
+    def start(self, points_lidar: Points) -> "Future[Made]":
+        """Begin a view; without workers it is done on return, and errors are raised here."""
+        if self._pool is not None:
+            return self._pool.submit(_make, points_lidar)
+        assert self._make is not None
+        done: Future[Made] = Future()
+        done.set_result(self._make(points_lidar))
+        return done
+
+    def close(self) -> None:
+        """End the processes; what was not begun is dropped."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+
+def result_of(future: "Future[Made]") -> Made:
+    """Wait for a view; an error in the worker is raised as itself.
+
+    Raises
+    ------
+    Sl3dError
+        where the process died.
+    """
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        raise Sl3dError(
+            "the process that finds lines was killed, perhaps for want of memory; "
+            "--workers 0 does without one"
+        ) from None
+
+
+class _Bench:
+    """Where views are made: an extractor and its settings."""
+
+    def __init__(self, config: SlamConfig) -> None:
+        self._config = config
+        self._extractor = LineExtractor(config.lines)
+
+    def __call__(self, points_lidar: Points) -> Made:
+        start_s = time.perf_counter()
+        raw = to_bytes(pack(view_of(points_lidar, self._extractor, self._config)))
+        return raw, time.perf_counter() - start_s
+
+
+_bench: _Bench | None = None  # of a worker process
+
+
+def _begin(config: SlamConfig) -> None:
+    """Set up a worker process: Ctrl-C is its parent's business, and so is its life."""
+    global _bench
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    numba.set_num_threads(1)
+    _bench = _Bench(config)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
+
+
+def _make(points_lidar: Points) -> Made:
+    assert _bench is not None
+    return _bench(points_lidar)
