@@ -6,8 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from sl3d_slam.geometry.se3 import exp, invert, log, make_transform, skew, transform_points
 from sl3d_slam.matching.dense import (
-    MIN_ROTATION_RAD,
-    MIN_TRANSLATION_M,
+    MIN_SIGMAS,
     DenseAlignment,
     align,
     coarse_cloud,
@@ -86,8 +85,8 @@ def test_free_directions_stay_zero_and_fixed_ones_are_bounded():
     free = np.r_[0, 0, 0, axis]
     np.testing.assert_allclose(information @ free, 0.0, atol=1e-6)
     assert np.linalg.matrix_rank(information) == 5
-    assert information[0, 0] <= MIN_ROTATION_RAD**-2
-    assert information[5, 5] <= MIN_TRANSLATION_M**-2
+    assert information[0, 0] <= MIN_SIGMAS[0] ** -2
+    assert information[5, 5] <= MIN_SIGMAS[5] ** -2
     np.testing.assert_allclose(information, information.T)
 
 
