@@ -59,11 +59,15 @@ class MapFinder:
     def find(self, view: View) -> MapAnswer:
         """Find the pose of a view in the map."""
         query = PreparedView(view, self._matching)
-        guesses = self.retrieval.guesses(query, NUM_GUESSES)
+        guesses = self.guesses(query)
         if not guesses:
             count = len(query.verticals)
             return _no(f"no constellation of the map fits the {count} standing lines")
         return self._decide(self._refine_best(query, guesses))
+
+    def guesses(self, query: PreparedView) -> list[MapGuess]:
+        """Return where a view may be, by its lines alone, best first."""
+        return self.retrieval.guesses(query, NUM_GUESSES)
 
     def _refine_best(self, query: PreparedView, guesses: list[MapGuess]) -> list[_Found]:
         """Refine the guesses that the bird's-eye fields like best."""

@@ -21,6 +21,7 @@ from sl3d_slam.cli.bench_options import (
     numbers,
     show,
 )
+from sl3d_slam.cli.bench_relocalize import relocalize
 from sl3d_slam.cli.errors import Verbs
 from sl3d_slam.cli.options import ConfigOption, DatasetOption, QuietOption, ScansOption, SetOption
 
@@ -32,6 +33,7 @@ bench = typer.Typer(
 )
 bench.command("lines")(lines)
 bench.command("extract")(extract)
+bench.command("relocalize")(relocalize)
 
 
 @bench.command("slam")

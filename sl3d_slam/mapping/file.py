@@ -6,6 +6,7 @@ array is coded, model, settings, and a checksum over all of it and the arrays.
 
 import hashlib
 import json
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from sl3d_slam.mapping.line_map import LineMap, MapOrigin
 from sl3d_slam.mapping.tensors import CLOUD_CODING, CODING, Tensors, map_of, map_tensors
 
 KEY = "sl3d_map"
+MAPPED = {"cloud_keys": ("<u1", "U8"), "cloud_means": ("<u2", "U16")}
 FORMAT = "sl3d line map"
 VERSION = 1
 FRAMES = (
@@ -47,7 +49,7 @@ def to_bytes(line_map: LineMap) -> bytes:
 
 
 def read_map(path: Path) -> LineMap:
-    """Return the map in a file, memory-mapped while it is decoded.
+    """Return the map in a file; its cloud stays on disk, mapped, and is decoded where asked for.
 
     Raises
     ------
@@ -71,13 +73,29 @@ def _read_container(path: Path) -> tuple[dict[str, Any], Tensors]:
     try:
         with safe_open(path, framework="numpy") as file:
             header = _read_header(path, (file.metadata() or {}).get(KEY))
-            return header, {name: file.get_tensor(name) for name in sorted(file.keys())}
+            mapped = _mapped(path)
+            names = sorted(set(file.keys()) - set(mapped))
+            return header, mapped | {name: file.get_tensor(name) for name in names}
     except (SafetensorError, TypeError, AttributeError, KeyError):  # the last: unusual types
         raise InputError(f"{path}: is cut off, damaged or of another kind; {EXPECTED}") from None
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read ({error.strerror or error}); {EXPECTED}"
         ) from None
+
+
+def _mapped(path: Path) -> Tensors:
+    """Map the arrays of the cloud where they are in the file; safetensors checked its layout."""
+    with path.open("rb") as file:
+        (length,) = struct.unpack("<Q", file.read(8))
+        layout = json.loads(file.read(length))
+    tensors = {}
+    for name, (dtype, code) in MAPPED.items():
+        entry = layout.get(name, {})
+        if entry.get("dtype") == code and 0 not in entry["shape"]:
+            offset, shape = 8 + length + entry["data_offsets"][0], tuple(entry["shape"])
+            tensors[name] = np.asarray(np.memmap(path, dtype, "r", offset, shape))
+    return tensors
 
 
 def _read_header(path: Path, text: str | None) -> dict[str, Any]:

@@ -17,6 +17,7 @@ METRE = 1000  # steps in a metre
 RADIAN = 100_000
 UNIT = 10_000  # steps in a unit vector's component
 FURTHEST_M = 1e8
+CHECKED_BLOCKS = 1024  # at once, so that a large cloud stays on disk
 LAYOUT = {
     "endpoints": ("uint8", 1),
     "num_points": ("uint8", 1),
@@ -191,15 +192,28 @@ def _cloud_of(tensors: Tensors, voxel_m: float) -> VoxelCloud:
     counts, sizes = table[:, 3], table[:, 4]
     _require(bool(np.all(np.abs(table) < 1 << 40)), "a cloud on this planet")
     _require(bool(np.all((counts > 0) & (sizes >= counts))), "cloud blocks that hold voxels")
+    _require(bool(np.all(np.diff(table[:, 0]) >= 0)), "cloud blocks sorted by x")
     _require(
         bool(counts.sum() == len(tensors["cloud_means"]) and sizes.sum() == len(keys)),
         "as many voxels as the cloud blocks say",
     )
-    ends = np.flatnonzero(keys < 128)
     starts, key_starts = np.cumsum([0, *counts]), np.cumsum([0, *sizes])
+    for first in range(0, len(counts), CHECKED_BLOCKS):
+        last = min(first + CHECKED_BLOCKS, len(counts))
+        _check_blocks(keys, starts[first : last + 1], key_starts[first : last + 1])
+    return VoxelCloud(voxel_m, table[:, :3], starts, key_starts, keys, tensors["cloud_means"])
+
+
+def _check_blocks(
+    keys: np.ndarray, starts: Int64[np.ndarray, "O"], key_starts: Int64[np.ndarray, "O"]
+) -> None:
+    """Check that some blocks hold the numbers they should, each ending with its block."""
+    part = np.asarray(keys[key_starts[0] : key_starts[-1]])
+    ends = np.flatnonzero(part < 128)
+    last = starts[1:] - 1 - starts[0]
     _require(
-        len(ends) == starts[-1] and bool(np.all(ends[starts[1:] - 1] == key_starts[1:] - 1)),
+        len(ends) == last[-1] + 1
+        and bool(np.all(ends[last] == key_starts[1:] - 1 - key_starts[0])),
         "the coded voxels of each cloud block to end with it",
     )
-    unpack(keys)  # raises where a number is too long
-    return VoxelCloud(voxel_m, table[:, :3], starts, key_starts, keys, tensors["cloud_means"])
+    unpack(part)  # raises where a number is too long

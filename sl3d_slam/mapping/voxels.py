@@ -62,9 +62,12 @@ class VoxelCloud:
     ) -> Float32[np.ndarray, "M 3"]:
         """Return the points, in the map frame, less than ``radius_m`` away as seen from above."""
         edge_m = BLOCK_VOXELS * self.voxel_m
-        low = self.blocks[:, :2] * edge_m
+        first, last = (np.floor((position[0] + s * radius_m) / edge_m) for s in (-1, 1))
+        rows = slice(*np.searchsorted(self.blocks[:, 0], [first, last + 1]))
+        low = self.blocks[rows, :2] * edge_m
         nearest = np.clip(position[:2], low, low + edge_m)
         touched = np.flatnonzero(np.linalg.norm(nearest - position[:2], axis=1) <= radius_m)
+        touched += rows.start
         points = self._decoded(touched)
         return points[np.hypot(*(points[:, :2] - position[:2]).T) < radius_m].astype(np.float32)
 
