@@ -7,7 +7,6 @@ of steps, and tested on others that are scaled by 0.1 to 3.
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 import torch
 from torch import nn
@@ -109,11 +108,16 @@ def measure(extent: Extent, seed: int, progress: Progress) -> list[ScaleRow]:
             samples_of,
             fitting,
             None,
-            lambda note, n, m=method: progress(f"{m}, {note}", n),
+            _told(progress, method),
         )
-        asked = (cast(PointNetwork, network), extent.neighbours, stride)
+        asked = (network, extent.neighbours, stride)
         rows += [_judge(asked, method, scale, test) for scale in SCALES]
     return rows
+
+
+def _told(progress: Progress, method: str) -> Progress:
+    """Return a progress that names the network it is about."""
+    return lambda note, steps: progress(f"{method}, {note}", steps)
 
 
 def _networks(extent: Extent) -> dict[str, tuple[Callable[[], nn.Module], int]]:

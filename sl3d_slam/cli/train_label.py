@@ -8,7 +8,7 @@ import typer
 from sl3d_slam.cli.options import DataArgument, DatasetOption, QuietOption, SequenceOption
 
 if TYPE_CHECKING:
-    from sl3d_slam.learning.label_rounds import LabelRun, RoundFigures
+    from sl3d_slam.learning.label_rounds import RoundFigures
 
 
 def label(
@@ -54,7 +54,7 @@ def label(
     with Meter(run.num_steps(), "steps", quiet) as meter:
         figures = run_rounds(run, out, meter.advance)
     if not quiet:
-        _show(run, figures, out)
+        _show(figures, out)
 
 
 def _trained_on_shapes(folder: Path, quiet: bool) -> Path:
@@ -70,11 +70,11 @@ def _trained_on_shapes(folder: Path, quiet: bool) -> Path:
     return path
 
 
-def _show(run: "LabelRun", figures: "list[RoundFigures]", out: Path) -> None:
+def _show(figures: "list[RoundFigures]", out: Path) -> None:
     for row in figures:
         text = f"round {row.number}: {row.scans} scans, {row.lines_per_scan:.1f} lines a scan"
         text += f", {row.doubtful_per_scan:.1f} more doubtful"
         if row.score is not None:
             text += f"; precision {row.score.precision:.1%}, recall {row.score.recall:.1%}"
         typer.echo(text)
-    typer.echo(f"labels in {out / 'labels'}, pictures in {out / f'round{run.rounds}/pictures'}")
+    typer.echo(f"labels in {out / 'labels'}, pictures in {out / 'pictures'}")

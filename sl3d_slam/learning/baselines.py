@@ -93,7 +93,7 @@ class PointNet2(nn.Module):
 
     def forward(self, points: Tensor, neighbours: Tensor, cloud_sizes: Sequence[int]) -> Answer:
         """Return logits; neighbours are found here, in balls."""
-        clouds = [cloud.numpy() for cloud in points.detach().split(list(cloud_sizes))]
+        clouds = [cloud.numpy() for cloud in torch.split(points.detach(), list(cloud_sizes))]
         near = [farthest_points(cloud, self.counts[0]) for cloud in clouds]
         far = [farthest_points(cloud, self.counts[1]) for cloud in near]
         low = _abstracted(self.first, clouds, near, None, (self.radii[0], self.in_ball))
@@ -154,7 +154,7 @@ def _interpolated(sources: list[np.ndarray], targets: list[np.ndarray], features
 
 def _over_clouds(features: Tensor, sizes: Sequence[int]) -> Tensor:
     """Return for each point the maximum over its cloud."""
-    parts = features.split(list(sizes))
+    parts = torch.split(features, list(sizes))
     return torch.cat([part.amax(dim=0, keepdim=True).expand_as(part) for part in parts])
 
 

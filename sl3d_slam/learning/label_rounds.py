@@ -1,8 +1,8 @@
 """``sl3d train label``: vote, grow, confirm, refine the network on the labels, and once more.
 
-``OUT`` gets ``roundR/votes`` and ``roundR/labels`` (a file a scan), ``roundR/pictures``,
-``roundR/weights.safetensors`` (the network refined on the round's labels) and ``rounds.csv``; the
-labels of the last round are ``OUT/labels``. Whatever is there already is not made again.
+``OUT`` gets ``roundR/votes`` and ``roundR/labels``, a file a scan, ``roundR/weights.safetensors``,
+the network refined on the labels of the round. The labels of the last round are in ``OUT/labels``,
+drawn in ``OUT/pictures``. Whatever is there already is not made again.
 """
 
 import multiprocessing
@@ -56,8 +56,8 @@ class LabelRun:
         return list(range(0, count, self.every))
 
     def num_steps(self) -> int:
-        """Return how many steps of progress there are: two a scan and round, and refinement."""
-        labelled = 2 * self.rounds * len(self.indices(self.source.open()))
+        """Return how many steps of progress there are, those of refinement among them."""
+        labelled = (2 * self.rounds + 1) * len(self.indices(self.source.open()))
         return labelled + (self.rounds - 1) * self.refinement.steps
 
 
@@ -92,19 +92,20 @@ def run_rounds(
     figures, weights = [], run.weights
     for number in range(1, run.rounds + 1):
         folder = out / f"round{number}"
-        for name in ("votes", "labels", "pictures"):
+        for name in ("votes", "labels"):
             prepare_run_folder(folder / name)
         for _ in _vote(run, weights, folder / "votes", indices):
             progress(f"round {number}: votes", 1)
         found = [read_candidates(folder / "votes" / f"{index:06d}.npz") for index in indices]
         judged = _confirm(found, T_world_lidar, run.settings)
         for index, candidates in zip(indices, judged, strict=True):
-            _write_scan(dataset, folder, index, candidates)
+            _label_scan(dataset, folder, index, candidates)
             progress(f"round {number}: labels", 1)
         figures.append(_figures(run, dataset, number, (indices, judged), T_world_lidar))
         if number < run.rounds:
             weights = refine(weights, dataset, indices, folder, run.refinement, progress)
-    _publish(out, run.rounds, indices)
+    for _ in _publish(dataset, out, run.rounds, indices):
+        progress("pictures", 1)
     return figures
 
 
@@ -160,17 +161,14 @@ def _confirm(
     ]
 
 
-def _write_scan(dataset: Dataset, folder: Path, index: int, candidates: Candidates) -> None:
-    """Write labels and picture of a scan, unless they are there already."""
-    labels = folder / "labels" / f"{index:06d}.npz"
-    picture = folder / "pictures" / f"{index:06d}.png"
-    if labels.is_file() and picture.is_file():
+def _label_scan(dataset: Dataset, folder: Path, index: int, candidates: Candidates) -> None:
+    """Write the labels of a scan, unless they are there already."""
+    path = folder / "labels" / f"{index:06d}.npz"
+    if path.is_file():
         return
     (scan,) = dataset.iterate(index, index + 1)
     found = label_points(scan.points_lidar, candidates.votes, candidates.lines, candidates.doubtful)
-    title = f"{dataset.name} scan {index}, {folder.name}"
-    write_whole(picture, draw_labels(scan.points_lidar, found, title))
-    write_labels(labels, found)
+    write_labels(path, found)
 
 
 def _figures(
@@ -198,9 +196,17 @@ def _figures(
     )
 
 
-def _publish(out: Path, rounds: int, indices: list[int]) -> None:
-    """Copy the labels of the last round to where training looks for them."""
-    prepare_run_folder(out / "labels")
+def _publish(dataset: Dataset, out: Path, rounds: int, indices: list[int]) -> Iterator[None]:
+    """Copy the labels of the last round to where training looks, and draw them."""
+    for name in ("labels", "pictures"):
+        prepare_run_folder(out / name)
     for index in indices:
-        last = out / f"round{rounds}" / "labels" / f"{index:06d}.npz"
-        write_labels(out / "labels" / last.name, read_labels(last))
+        name = f"{index:06d}"
+        labels = read_labels(out / f"round{rounds}" / "labels" / f"{name}.npz")
+        write_labels(out / "labels" / f"{name}.npz", labels)
+        picture = out / "pictures" / f"{name}.png"
+        if not picture.is_file():
+            (scan,) = dataset.iterate(index, index + 1)
+            title = f"{dataset.name} scan {index}"
+            write_whole(picture, draw_labels(scan.points_lidar, labels, title))
+        yield

@@ -16,6 +16,9 @@ from sl3d_slam.geometry.se3 import Points
 from sl3d_slam.geometry.segments import distance_to_line_m
 from sl3d_slam.learning.thinning import voxel_choice
 
+SETTLING = 3
+BESIDE = 2.5
+
 Line = tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]  # a point on it, its direction
 
 
@@ -23,16 +26,16 @@ class GrowthSettings(Settings):
     """When points make a line.
 
     ``radius_m`` joins points to a region; ``reach_m`` is how far a point may lie off the line. Of
-    the candidates within three times that, ``min_purity`` must lie on the line: candidates all
-    over a surface are no line.
+    the candidates within two and a half times that, ``min_purity`` must lie on the line:
+    candidates all over a surface are no line.
     """
 
     radius_m: float = Field(default=0.5, gt=0)
-    reach_m: float = Field(default=0.2, gt=0)
+    reach_m: float = Field(default=0.25, gt=0)
     min_length_m: float = Field(default=1.0, gt=0)
     min_points: int = Field(default=8, ge=2)
     max_gap_m: float = Field(default=1.0, gt=0)
-    min_purity: float = Field(default=0.5, ge=0, le=1)
+    min_purity: float = Field(default=0.6, ge=0, le=1)
     thinning_m: float = Field(default=0.12, gt=0)
     trials: int = Field(default=60, ge=1)
 
@@ -67,23 +70,35 @@ def regions(points: Points, radius_m: float) -> list[Int64[np.ndarray, "_"]]:
 def _lines_of(
     points: Points, settings: GrowthSettings, rng: np.random.Generator
 ) -> list[np.ndarray]:
-    """Empty a region: the line that most of the points left lie on, again and again."""
+    """Empty a region: the line that most of the points left lie on, again and again.
+
+    With a line goes all that lies beside it: an edge is as wide as the voxels that show it.
+    """
     left, found = points, []
     while len(left) >= settings.min_points:
-        line = _best_line(left, settings, rng)
+        line = _settled(left, _best_line(left, settings, rng), settings)
         on_line = _longest_run(left, line, settings)
         if len(on_line) < settings.min_points:
             break
-        origin, direction = line = _fitted(left[on_line])
-        along = (left[on_line] - origin) @ direction
-        near = distance_to_line_m(left, *line) < 3.0 * settings.reach_m
-        within = (left - origin) @ direction
-        near &= (within > along.min()) & (within < along.max())
-        long_enough = np.ptp(along) >= settings.min_length_m
-        if long_enough and len(on_line) >= settings.min_purity * np.count_nonzero(near):
-            found.append(origin + np.array([[along.min()], [along.max()]]) * direction)
-        left = np.delete(left, on_line, axis=0)
+        along = (left - line[0]) @ line[1]
+        low, high = along[on_line].min(), along[on_line].max()
+        beside = distance_to_line_m(left, *line) < BESIDE * settings.reach_m
+        beside &= (along >= low) & (along <= high)
+        pure = len(on_line) >= settings.min_purity * np.count_nonzero(beside)
+        if pure and high - low >= settings.min_length_m:
+            found.append(line[0] + np.array([[low], [high]]) * line[1])
+        left = left[~beside]
     return found
+
+
+def _settled(points: Points, line: Line, settings: GrowthSettings) -> Line:
+    """Fit a line to the points around it, the less a point counts the farther it is off."""
+    for _ in range(SETTLING):
+        distance = distance_to_line_m(points, *line)
+        near = _longest_run(points, line, settings)
+        weights = 1.0 / (1.0 + (distance[near] / (0.5 * settings.reach_m)) ** 2)
+        line = _fitted(points[near], weights)
+    return line
 
 
 def _best_line(points: Points, settings: GrowthSettings, rng: np.random.Generator) -> Line:
@@ -104,10 +119,13 @@ def _best_line(points: Points, settings: GrowthSettings, rng: np.random.Generato
     return _fitted(points[near])
 
 
-def _fitted(points: Points) -> Line:
+def _fitted(points: Points, weights: Float64[np.ndarray, "N"] | None = None) -> Line:
     """Return the least-squares line."""
-    origin = points.mean(axis=0)
-    return origin, np.linalg.svd(points - origin, full_matrices=False)[2][0]
+    origin = np.average(points, axis=0, weights=weights)
+    centred = points - origin
+    if weights is not None:
+        centred = centred * np.sqrt(weights)[:, None]
+    return origin, np.linalg.svd(centred, full_matrices=False)[2][0]
 
 
 def _longest_run(points: Points, line: Line, settings: GrowthSettings) -> Int64[np.ndarray, "_"]:

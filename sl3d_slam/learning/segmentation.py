@@ -1,8 +1,7 @@
 """Training of the line segmentation alone: samples, loss, figures."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -10,6 +9,9 @@ from jaxtyping import Bool, Float32, Int64, UInt8
 from torch import Tensor, nn
 
 from sl3d_slam.lines.network.neighbours import skip_neighbours
+
+# points, neighbours and sizes of clouds -> logits (M, 2) of background and line, and anything else
+PointNetwork = Callable[[Tensor, Tensor, Sequence[int]], tuple[Tensor, Tensor]]
 
 NUM_KINDS = 4
 BACKGROUND_SHARE = 0.5
@@ -29,16 +31,6 @@ class Sample:
     points: Float32[np.ndarray, "M 3"]
     on_line: Bool[np.ndarray, "M"]
     weights: Float32[np.ndarray, "M"]
-
-
-class PointNetwork(Protocol):
-    """What can be trained here: the line network and the baselines it is compared with."""
-
-    def __call__(
-        self, points: Tensor, neighbours: Tensor, cloud_sizes: Sequence[int]
-    ) -> tuple[Tensor, Tensor]:
-        """Return logits (M, 2) of background and line, and anything else."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
