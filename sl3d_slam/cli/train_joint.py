@@ -22,21 +22,24 @@ def joint(
         list[Path] | None,
         typer.Option(metavar="DATA", help="Drive to measure on, never trained on; repeatable."),
     ] = None,
-    steps: Annotated[int, typer.Option(min=1, help="Pairs of scans to learn from.")] = 6000,
+    steps: Annotated[int, typer.Option(min=1, help="Pairs of scans to learn from.")] = 6500,
     seed: Annotated[int, typer.Option(min=0, help="Of weights, pairs and changes.")] = 0,
     start: Annotated[
         Path | None, typer.Option("--from", metavar="WEIGHTS", help="Start from these weights.")
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a run.")] = False,
     points: Annotated[int, typer.Option(min=50, help="At most so many a cloud.")] = 12_000,
-    rate: Annotated[float, typer.Option(help="Highest learning rate.")] = 1e-3,
+    rate: Annotated[float, typer.Option(help="Highest learning rate.")] = 2e-3,
     contrast: Annotated[
-        float, typer.Option(min=0, help="Weight of the ranking loss; 0 is the paper's loss.")
+        float, typer.Option(min=0, help="Weight of the ranking loss; the paper has none.")
     ] = 1.0,
+    discriminative: Annotated[
+        float, typer.Option(min=0, help="Weight of the paper's four descriptor terms, 1 there.")
+    ] = 0.0,
     real_share: Annotated[
         float, typer.Option(min=0, max=1, help="Share of pairs from real drives.")
-    ] = 0.5,
-    stride: Annotated[int, typer.Option(min=1, help="Of skip encoding.")] = 4,
+    ] = 0.4,
+    stride: Annotated[int, typer.Option(min=1, help="Of skip encoding; the paper's is 4.")] = 1,
     descriptor_dim: Annotated[int, typer.Option(min=2, help="Numbers a descriptor.")] = 64,
     neighbours: Annotated[str, typer.Option(help="Found in: space or features.")] = "space",
     checkpoint_every: Annotated[int, typer.Option(min=1, help="Steps.")] = 200,
@@ -69,7 +72,7 @@ def joint(
             points=points,
             learning_rate=rate,
             real_share=real_share,
-            loss=LossSettings(contrast=contrast),
+            loss=LossSettings(contrast=contrast, discriminative=discriminative),
         )
         network = NetworkSettings.model_validate(
             {"stride": stride, "descriptor_dim": descriptor_dim, "neighbours": neighbours}

@@ -24,7 +24,7 @@ from sl3d_slam.lines.network.weights_file import save_weights
 CHECKPOINT, CURVES, WEIGHTS = "checkpoint.safetensors", "curves.csv", "weights.safetensors"
 COLUMNS = ("step", "learning_rate", "loss", *TERMS)
 MAX_GRADIENT = 1.0
-Progress = Callable[[str], None]
+Progress = Callable[[str, int], None]
 
 
 class JointTraining:
@@ -74,7 +74,7 @@ class JointTraining:
 
     def run(
         self,
-        progress: Progress = lambda _: None,
+        progress: Progress = lambda note, steps: None,
         checkpoint_every: int = 100,
         stop: int | None = None,
         look: Callable[[int], None] = lambda _: None,
@@ -86,7 +86,7 @@ class JointTraining:
             row = self._take_step()
             self.step += 1
             self._rows.append([float(self.step), *row])
-            progress(f"loss {row[1]:.3f}")
+            progress(f"loss {row[1]:.3f}", 1)
             if self.step % checkpoint_every == 0 or self.step == last:
                 self._keep()
                 look(self.step)

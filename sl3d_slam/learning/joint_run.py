@@ -9,10 +9,10 @@ from pathlib import Path
 import torch
 
 from sl3d_slam.files import write_whole
-from sl3d_slam.learning.joint import JointTraining
+from sl3d_slam.learning.joint import JointTraining, Progress
 from sl3d_slam.learning.joint_settings import JointSettings
 from sl3d_slam.learning.joint_validation import detect, rank
-from sl3d_slam.learning.parallel import joined_team
+from sl3d_slam.learning.parallel import Team, joined_team
 from sl3d_slam.learning.prepare import find_sources, prepare_drive
 from sl3d_slam.learning.prepared import PreparedDrive
 from sl3d_slam.lines.network.model import SuperLine3D
@@ -63,7 +63,7 @@ def train_joint(
     settings: JointSettings,
     network: NetworkSettings,
     prepared: Callable[[str], None] = lambda _: None,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Progress = lambda note, steps: None,
 ) -> SuperLine3D:
     """Train a network and return it; the folder of the plan gets everything else.
 
@@ -78,11 +78,11 @@ def train_joint(
     """
     with joined_team() as team:
         model = start_model(network, settings, plan.start)
-        drives = _prepare(plan, plan.data, model.settings, prepared)
-        held_out = _prepare(plan, plan.held_out, model.settings, prepared) if team.leads else []
+        drives, held_out = _prepare_together(plan, model.settings, team, prepared)
         training = JointTraining(model, drives, settings, plan.out, team)
         if plan.resume:
             training.resume()
+            progress("resumed", training.step)
         looks: list[Look] = []
 
         def look(step: int) -> None:
@@ -102,6 +102,20 @@ def start_model(
         return load_weights(start)
     torch.manual_seed(settings.seed)
     return SuperLine3D(network)
+
+
+def _prepare_together(
+    plan: JointPlan, network: NetworkSettings, team: Team, progress: Callable[[str], None]
+) -> tuple[list[PreparedDrive], list[PreparedDrive]]:
+    """Prepare in one process what the others then find in the cache; it alone looks at results."""
+    drives, held_out = [], []
+    if team.leads:
+        drives = _prepare(plan, plan.data, network, progress)
+        held_out = _prepare(plan, plan.held_out, network, progress)
+    team.wait()
+    if not team.leads:
+        drives = _prepare(plan, plan.data, network, progress)
+    return drives, held_out
 
 
 def _prepare(

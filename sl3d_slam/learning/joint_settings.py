@@ -17,7 +17,7 @@ class LossSettings(Settings):
     """
 
     segmentation: float = Field(default=2.0, ge=0)
-    discriminative: float = Field(default=1.0, ge=0)
+    discriminative: float = Field(default=0.0, ge=0)
     same_margin: float = Field(default=0.2, ge=0)
     differ_margin: float = Field(default=2.0, gt=0)
     contrast: float = Field(default=1.0, ge=0)
@@ -38,15 +38,15 @@ class AugmentSettings(Settings):
 class JointSettings(Settings):
     """Everything that the weights depend on beside the data."""
 
-    steps: int = Field(default=6000, ge=1)
+    steps: int = Field(default=6500, ge=1)
     pairs_per_step: int = Field(default=1, ge=1)
     points: int = Field(default=12_000, ge=50)
-    learning_rate: float = Field(default=1e-3, gt=0)
+    learning_rate: float = Field(default=2e-3, gt=0)
     warmup_steps: int = Field(default=100, ge=0)
     seed: int = Field(default=0, ge=0)
     max_pair_distance_m: float = Field(default=30.0, gt=0)
     match_distance_m: float = Field(default=0.2, gt=0)
     min_line_points: int = Field(default=4, ge=1)
-    real_share: float = Field(default=0.5, ge=0, le=1)
+    real_share: float = Field(default=0.4, ge=0, le=1)
     loss: LossSettings = LossSettings()
     augment: AugmentSettings = AugmentSettings()

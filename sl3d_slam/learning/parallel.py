@@ -4,9 +4,12 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 
 import torch
 from torch import distributed, nn
+
+PATIENCE = timedelta(hours=4)  # the others wait while the first prepares the drives
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +23,11 @@ class Team:
     def leads(self) -> bool:
         """Whether this process writes the files."""
         return self.rank == 0
+
+    def wait(self) -> None:
+        """Return once every process has come here."""
+        if self.size > 1:
+            distributed.barrier()
 
     def average_gradients(self, model: nn.Module) -> None:
         """Replace each gradient by the mean over all processes; a missing one counts as zero."""
@@ -45,7 +53,7 @@ def joined_team() -> Iterator[Team]:
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
         yield Team()
         return
-    distributed.init_process_group("gloo")
+    distributed.init_process_group("gloo", timeout=PATIENCE)
     try:
         yield Team(distributed.get_rank(), distributed.get_world_size())
     finally:
