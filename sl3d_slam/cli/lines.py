@@ -20,6 +20,10 @@ def lines(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="Write them: .ply, .json or .png.")
     ] = None,
+    weights: Annotated[
+        Path | None,
+        typer.Option("--weights", metavar="FILE", help="Use this network in place of the default."),
+    ] = None,
     json: JsonOption = False,
     config: ConfigOption = None,
     overrides: SetOption = None,
@@ -31,7 +35,10 @@ def lines(
     from sl3d_slam.lines.extract import LineExtractor
 
     _check_suffix(out)
-    settings = load_config(config, overrides or ())
+    wanted = list(overrides or ())
+    if weights is not None:
+        wanted += ["lines.method=learned", f"lines.weights={weights}"]
+    settings = load_config(config, wanted)
     points_lidar = read_scan(scan, settings.input)
     found = LineExtractor(settings.lines).extract(points_lidar)
     if out is not None:

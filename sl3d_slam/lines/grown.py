@@ -22,6 +22,8 @@ SHEET_REACH_M = 1.2
 MAX_THICKNESS_M = 0.1
 MIN_SHEET_VOXELS = 8
 MIN_CORNER_SINE = 0.5
+MAX_FIT_SCORE = 0.3
+FULL_LENGTH_M = 3.0
 
 
 def grow_uprights(
@@ -46,7 +48,7 @@ def grow_uprights(
     return found
 
 
-def _join(points: Float64[np.ndarray, "N 3"]) -> list[Int64[np.ndarray, "P"]]:
+def _join(points: Float64[np.ndarray, "N 3"]) -> list[Int64[np.ndarray, "_"]]:
     if len(points) == 0:
         return []
     pairs = cKDTree(points[:, :2]).query_pairs(JOIN_RADIUS_M, output_type="ndarray")
@@ -78,7 +80,8 @@ def _fit(
     if corner is not None:
         place = corner
     endpoints = np.array([[*place, low], [*place, high]])
-    edge = Upright(endpoints, len(points), 0.0, low - clearance, high - clearance, 0.0)
+    score = _fit_score(high - low)
+    edge = Upright(endpoints, len(points), 0.0, low - clearance, high - clearance, score)
     return edge, LineKind.VERTICAL_EDGE
 
 
@@ -102,7 +105,13 @@ def _as_pole(
         return None
     low, high = float(scene.points[core, 2].min()), float(scene.points[core, 2].max())
     endpoints = np.array([np.r_[axis[:2] + slope * (h - axis[2]), h] for h in (low, high)])
-    return Upright(endpoints, len(returns), float(radius), low - ground, high - ground, 0.0)
+    score = _fit_score(high - low)
+    return Upright(endpoints, len(returns), float(radius), low - ground, high - ground, score)
+
+
+def _fit_score(length_m: float) -> float:
+    """Return a score that puts such lines behind those whose shape geometry vouches for."""
+    return MAX_FIT_SCORE * (0.5 + 0.5 * min(length_m / FULL_LENGTH_M, 1.0))
 
 
 def _corner_near(

@@ -12,15 +12,16 @@ from sl3d_slam.lines.geometric import find_uprights, to_lidar
 from sl3d_slam.lines.grown import grow_uprights
 from sl3d_slam.lines.network.inference import Network
 from sl3d_slam.lines.network.sample import network_points
+from sl3d_slam.lines.poles import Upright
 from sl3d_slam.lines.scene import Scene, make_scene
 from sl3d_slam.types import LineSet
 
 REACH_M = 0.35
 OVERSHOOT_M = 0.2
 SAME_LINE_M = 0.4
+FILL_M = 0.6
 MIN_DESCRIBED = 0.02
 PRIOR_POINTS = 2.0
-FULL_LENGTH_M = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,21 +36,26 @@ class Labelled:
 def learned_lines(points_lidar: Points, settings: LineSettings, network: Network) -> LineSet:
     """Return the lines of a scan that the network believes in most, best first.
 
-    Candidates are the segments grown from the points that the network calls lines and those that
-    geometry proposes, each fitted on the full scan. The network ranks and describes them: by the
-    mean line probability and the mean descriptor of the points along each.
+    Candidates are what geometry proposes, whose axes are the most precise, and where it proposes
+    nothing the segments grown from the points that the network calls lines; all are fitted on the
+    full scan. The network then ranks and describes them: by the mean line probability and the mean
+    descriptor of the points along each.
     """
     scene = make_scene(points_lidar, settings)
     labelled = label_points(points_lidar, scene, network)
     uprights, kinds = find_uprights(scene, settings)
+    proposed = _places(uprights)
     for upright, kind in grow_uprights(
         scene, labelled.points, labelled.probability, settings.min_length_m
     ):
-        uprights.append(upright)
-        kinds.append(kind)
+        place = _places([upright])
+        if np.linalg.norm(proposed - place, axis=1).min(initial=np.inf) > FILL_M:
+            uprights.append(upright)
+            kinds.append(kind)
     endpoints = np.array([upright.endpoints for upright in uprights]).reshape(-1, 2, 3)
     members = points_along(endpoints, labelled.points)
-    scores = _scores(endpoints, members, labelled.probability)
+    fits = np.array([upright.score for upright in uprights])
+    scores = fits * np.sqrt(_mean_probability(members, labelled.probability))
     order = _best_apart(endpoints, scores, settings.max_lines)
     return LineSet(
         endpoints=to_lidar(scene, endpoints[order]),
@@ -70,7 +76,7 @@ def label_points(points_lidar: Points, scene: Scene, network: Network) -> Labell
 
 def points_along(
     endpoints: Float64[np.ndarray, "L 2 3"], points: Float32[np.ndarray, "M 4"]
-) -> list[Int64[np.ndarray, "P"]]:
+) -> list[Int64[np.ndarray, "_"]]:
     """Return for each standing segment the points within 0.35 m beside it."""
     if len(endpoints) == 0 or len(points) == 0:
         return [np.zeros(0, np.int64)] * len(endpoints)
@@ -96,17 +102,16 @@ def _beside(
     return rows[inside & (np.einsum("ij,ij->i", aside, aside) < REACH_M**2)]
 
 
-def _scores(
-    endpoints: Float64[np.ndarray, "L 2 3"],
-    members: list[Int64[np.ndarray, "P"]],
-    probability: Float32[np.ndarray, "M"],
+def _places(uprights: list[Upright]) -> Float64[np.ndarray, "L 2"]:
+    return np.array([upright.endpoints.mean(axis=0)[:2] for upright in uprights]).reshape(-1, 2)
+
+
+def _mean_probability(
+    members: list[Int64[np.ndarray, "_"]], probability: Float32[np.ndarray, "M"]
 ) -> Float64[np.ndarray, "L"]:
-    """Return the mean probability along each line, less for few points and for short lines."""
+    """Return the mean probability along each line, less where few points speak for it."""
     total = np.array([probability[rows].sum(dtype=np.float64) for rows in members])
-    count = np.array([len(rows) for rows in members])
-    height = np.abs(endpoints[:, 1, 2] - endpoints[:, 0, 2])
-    length_part = np.minimum(height / FULL_LENGTH_M, 1.0)
-    return total / (count + PRIOR_POINTS) * (0.5 + 0.5 * length_part)
+    return total / (np.array([len(rows) for rows in members]) + PRIOR_POINTS)
 
 
 def _best_apart(
@@ -126,7 +131,7 @@ def _best_apart(
 
 
 def _describe(
-    labelled: Labelled, members: list[Int64[np.ndarray, "P"]]
+    labelled: Labelled, members: list[Int64[np.ndarray, "_"]]
 ) -> Float32[np.ndarray, "L D"]:
     """Return the mean descriptor of each line's points, weighted by their probability."""
     dimension = labelled.descriptors.shape[1]

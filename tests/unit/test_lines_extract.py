@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sl3d_slam.config import LineSettings
-from sl3d_slam.errors import InputError, MissingExtraError
+from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.ground import ground_mask, heights_above_ground, up_direction
 from sl3d_slam.geometry.se3 import from_yaw, make_transform, transform_points
 from sl3d_slam.lines.extract import LineExtractor
@@ -292,11 +292,6 @@ def test_scan_without_any_structure_gives_no_lines(extractor):
     assert len(extractor.extract(np.full((100, 3), 5.0))) == 0
     far = np.random.default_rng(0).uniform(200.0, 300.0, (100, 3))
     assert extractor.extract(far).descriptors.shape == (0, 28)
-
-
-def test_no_untrained_model_is_passed_off_as_trained():
-    with pytest.raises(MissingExtraError, match="no trained"):
-        LineExtractor.pretrained()
 
 
 def test_up_direction_of_a_tilted_sensor(street):

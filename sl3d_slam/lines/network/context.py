@@ -27,8 +27,8 @@ class Cells:
     """
 
     cell_of: Int64[Tensor, "M"]
-    neighbours: tuple[Int64[Tensor, "K k"], ...]
-    gaps: tuple[Float32[Tensor, "K k 2"], ...]
+    neighbours: tuple[Int64[Tensor, "K _"], ...]
+    gaps: tuple[Float32[Tensor, "K _ 2"], ...]
 
     def to(self, device: torch.device) -> "Cells":
         """Return the same cells on a device."""
