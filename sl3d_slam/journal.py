@@ -64,9 +64,15 @@ class Journal:
             return None
         return [_from_tree(tree) for tree in json.loads(self.records[name])]
 
-    def note_outcomes(self, keyframe_id: int, outcomes: Sequence[Outcome]) -> None:
-        """Note what came of the loop search from a keyframe."""
-        self.records[f"loops {keyframe_id}"] = json.dumps([_tree(no) for no in outcomes]).encode()
+    def note_outcomes(self, keyframe_id: int, outcomes: Sequence[Outcome]) -> list[Outcome]:
+        """Note what came of the loop search from a keyframe; return it as it will be read.
+
+        Numbers are the same, but arrays may lie differently in memory, and the last bit of a
+        product depends on that.
+        """
+        trees = [_tree(outcome) for outcome in outcomes]
+        self.records[f"loops {keyframe_id}"] = json.dumps(trees).encode()
+        return [_from_tree(tree) for tree in trees]
 
     def close(self) -> None:
         """Close the file; a journal in a run folder stays."""

@@ -188,8 +188,8 @@ class SlamPipeline:
         outcomes = self._journal.outcomes(keyframe_id)
         if outcomes is None:
             with self._timed("loops"):
-                outcomes = self._closer.search(keyframe_id, self._graph.estimates())
-            self._journal.note_outcomes(keyframe_id, outcomes)
+                found = self._closer.search(keyframe_id, self._graph.estimates())
+            outcomes = self._journal.note_outcomes(keyframe_id, found)
         for outcome in outcomes:
             if isinstance(outcome, LoopConstraint):
                 with self._timed("graph"):

@@ -46,8 +46,9 @@ class OurSystem:
 
     def __init__(self, config: SlamConfig) -> None:
         from sl3d_slam.pipeline import SlamPipeline
+        from sl3d_slam.viewing import spare_processors
 
-        self._slam = SlamPipeline(config)
+        self._slam = SlamPipeline(config, workers=min(1, spare_processors()))
 
     def process(self, scan: Scan) -> None:
         """Take the next scan."""
