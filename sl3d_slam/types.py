@@ -6,6 +6,7 @@ from enum import IntEnum
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 
+from sl3d_slam.geometry.geodesy import GeoOrigin
 from sl3d_slam.geometry.se3 import Points, Transform
 from sl3d_slam.geometry.segments import transform_segments
 
@@ -227,3 +228,45 @@ class Trajectory:
     def __len__(self) -> int:
         """Return the number of poses."""
         return len(self.stamps_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionFixes:
+    """Positions of an antenna by GPS, in the clock of the scans.
+
+    Attributes
+    ----------
+    stamps_s : (N,) seconds.
+    positions_enu : (N, 3) metres east, north and up of ``origin``, or of a frame of their own.
+    sigmas_m : (N, 3) standard deviations, one an axis.
+    origin : None where the positions were given in metres.
+    """
+
+    stamps_s: Float64[np.ndarray, "N"]
+    positions_enu: Points
+    sigmas_m: Float64[np.ndarray, "N 3"]
+    origin: GeoOrigin | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UpFixes:
+    """Which way is up, by gravity or an IMU, in the clock of the scans.
+
+    ``up_lidar`` (N, 3) are unit vectors in the lidar frame, ``sigmas_rad`` (N,) their errors.
+    """
+
+    stamps_s: Float64[np.ndarray, "N"]
+    up_lidar: Points
+    sigmas_rad: Float64[np.ndarray, "N"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WorldMeasurements:
+    """What other sensors say of where the drive is in the world; either may be None."""
+
+    positions: PositionFixes | None = None
+    ups: UpFixes | None = None
+
+    def __bool__(self) -> bool:
+        """Tell whether there is anything."""
+        return self.positions is not None or self.ups is not None

@@ -18,10 +18,15 @@ class OdometryChain:
     frame it is ``Ad(T_odom_k) xi_k``, and there the noises of a chain simply add:
     ``T_a_b = T_odom_a^-1 exp(sum eta_k) T_odom_b`` for a < k <= b. So one running sum gives the
     covariance between any two keyframes.
+
+    Real odometry errs the same way for a while (a wandering turn rate, a scale), so over a long
+    stretch it drifts further than white steps would: the sum holds each step's noise times
+    ``drift_inflation`` squared, while :meth:`append` returns that of the step itself.
     """
 
     def __init__(self, settings: GraphSettings) -> None:
         self._settings = settings
+        self._inflation = settings.drift_inflation**2
         self._poses = np.zeros((64, 4, 4))
         self._sums = np.zeros((64, 6, 6))
         self._positions: dict[int, int] = {}
@@ -51,7 +56,8 @@ class OdometryChain:
             T_last_new = invert(self._poses[count - 1]) @ T_odom_new
             covariance = chain_covariance(T_last_new, num_scans, self._settings)
             Ad = adjoint(T_odom_new)
-            self._sums[count] = self._sums[count - 1] + Ad @ covariance @ Ad.T
+            noise = self._inflation * (Ad @ covariance @ Ad.T)
+            self._sums[count] = self._sums[count - 1] + noise
         self._poses[count] = T_odom_new
         self._positions[keyframe_id] = count
         return covariance

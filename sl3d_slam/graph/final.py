@@ -28,11 +28,13 @@ class FinalGraph:
     T_world_lidar : (N, 4, 4), the world frame is the odometry's at the first scan.
     edges : odometry steps in order, then loops.
     priors : what holds the world frame.
+    fixed : scans that a g2o file marks as held instead of by ``priors``.
     """
 
     T_world_lidar: Transforms
     edges: list[Edge]
     priors: list[Prior]
+    fixed: tuple[int, ...] = ()
 
     @property
     def poses(self) -> dict[int, Transform]:
@@ -40,8 +42,9 @@ class FinalGraph:
         return dict(enumerate(self.T_world_lidar))
 
     def to_g2o(self) -> str:
-        """Return a g2o file's text: all scans, odometry and loops, the first scan held."""
-        return format_g2o(G2oGraph(self.poses, self.edges, fixed=[0] if self.poses else []))
+        """Return a g2o file's text: all scans, odometry and loops, and what holds the frame."""
+        priors = [] if self.fixed else self.priors
+        return format_g2o(G2oGraph(self.poses, self.edges, priors, list(self.fixed)))
 
 
 def optimise_all_scans(
@@ -75,7 +78,7 @@ def optimise_all_scans(
     start = _spread(odometry, anchors)
     _, values = optimise(dict(enumerate(start)), edges, priors)
     poses = np.array([values.atPose3(index).matrix() for index in range(len(T_odom_lidar))])
-    return FinalGraph(poses, edges, priors)
+    return FinalGraph(poses, edges, priors, fixed=(0,))
 
 
 def marginal_covariances(
@@ -83,7 +86,8 @@ def marginal_covariances(
 ) -> Float64[np.ndarray, "K 6 6"]:
     """Return the covariance of the chosen scans' poses given all factors.
 
-    Rotation first, each at its own lidar frame, relative to the first scan.
+    Rotation first, each at its own lidar frame; relative to the first scan, or to the world where
+    other sensors hold the graph.
     """
     factors, values = optimise(graph.poses, graph.edges, graph.priors)
     marginals = gtsam.Marginals(factors, values)

@@ -88,6 +88,8 @@ def chain_covariance(T_first_last: Transform, num_scans: int, settings: GraphSet
     """
     if num_scans < 1:
         raise GraphError(f"an odometry chain needs at least 1 scan, got {num_scans}")
+    if num_scans == 1:
+        return step_covariance(T_first_last, settings)
     T_last_next = exp(log(T_first_last) / num_scans)
     step = step_covariance(T_last_next, settings)
     carry = adjoint(invert(T_last_next))

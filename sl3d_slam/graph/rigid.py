@@ -10,11 +10,14 @@ from sl3d_slam.errors import GraphError
 from sl3d_slam.geometry.se3 import Transform
 from sl3d_slam.graph.batched import Transforms
 
+EXACT = 1e-13  # rounding of a product of rotations; nothing to repair
 MAX_ERROR = 1e-3  # of R^T R from the identity; more is not a rounded rotation
 
 
 def rigid_transform(T_a_b: Transform, name: str) -> Transform:
     """Return the transform with the nearest rotation; ``name`` says whose it is in an error."""
+    if _is_exact(T_a_b):
+        return T_a_b.copy()
     return rigid_transforms(T_a_b[None], name)[0]
 
 
@@ -40,3 +43,11 @@ def rigid_transforms(T_a_b: Transforms, name: str) -> Transforms:
     result[:, :3, :3] = U @ Vt
     result[:, 3] = [0.0, 0.0, 0.0, 1.0]
     return result
+
+
+def _is_exact(T_a_b: Transform) -> bool:
+    R = T_a_b[:3, :3]
+    difference = R.T @ R
+    difference.flat[::4] -= 1.0
+    exact = float(np.abs(difference).max()) < EXACT  # False for NaN
+    return exact and np.array_equal(T_a_b[3], [0.0, 0.0, 0.0, 1.0]) and float(np.linalg.det(R)) > 0

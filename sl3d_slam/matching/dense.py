@@ -13,9 +13,11 @@ MAX_RANGE_M = 70.0
 MIN_POINTS = 100
 NEIGHBOURS = 12
 STAGES = ((3.0, 2.0), (1.0, 1.0))  # largest correspondence distance, voxel of the moving cloud
-COVARIANCE_SCALE = 10.0  # neighbouring points err together
-MIN_ROTATION_RAD = np.radians(0.015)
-MIN_TRANSLATION_M = 0.01
+UNITS = np.repeat([np.radians(0.015), 0.01], 3)  # a step of each that moves a scan about equally
+# Calibrated on simulated and real drives, see information_of
+COVARIANCE_SCALE = 5.5  # neighbouring points err together
+MIN_SIGMAS = np.array([np.radians(0.01), np.radians(0.01), np.radians(0.004), 2e-3, 2e-3, 2e-3])
+FAR_M = 40.0  # between the views: there they share so little that the covariance has doubled
 # GICP's surfaces hold a little along themselves, too (1 to 1,000): a bare corridor reaches 0.0024
 # of the best-held direction, a street slid by 4 m 0.0038, true pairs 25 m apart on real streets
 # 0.0064 and more
@@ -84,12 +86,20 @@ def information_of(alignment: DenseAlignment) -> Float64[np.ndarray, "6 6"]:
     """Return the calibrated information of an alignment (rotation first, source frame).
 
     GICP's Hessian takes every point as independent and every surface as flat, so its inverse is
-    many times too small. It is widened by a factor, and no direction is believed beyond
-    what voxels allow. Directions that no point fixes stay exactly zero.
+    too small. The covariance is ``COVARIANCE_SCALE H^-1`` plus least variances, all of it growing
+    with the distance between the views. Directions that no point fixes stay exactly zero.
+
+    Calibrated on 419 pairs of views up to 30 m apart in three simulated towns (one HDL-64, two
+    HDL-32), so that the mean normalised error squared is about six for six degrees of freedom;
+    single pairs reach some hundred. ``sl3d bench covariance`` measures it on any drive with true
+    poses: those of real drives by GPS are centimetres off themselves, so there it comes out larger.
     """
-    scale = np.r_[np.full(3, 1.0 / MIN_ROTATION_RAD), np.full(3, 1.0 / MIN_TRANSLATION_M)]
-    values, vectors = np.linalg.eigh(alignment.hessian / np.outer(scale, scale))
+    values, vectors = np.linalg.eigh(alignment.hessian * np.outer(UNITS, UNITS))
     fixed = values > FREE_RATIO * max(float(values[-1]), 1e-12)
     basis = vectors[:, fixed]
-    information = (basis / (COVARIANCE_SCALE / values[fixed] + 1.0)) @ basis.T
-    return information * np.outer(scale, scale)
+    distance_m = float(np.linalg.norm(alignment.T_target_source[:3, 3]))
+    least = (basis.T * (MIN_SIGMAS / UNITS) ** 2) @ basis
+    covariance = np.diag(COVARIANCE_SCALE / values[fixed]) + least
+    covariance *= 1.0 + (distance_m / FAR_M) ** 2
+    information = basis @ np.linalg.inv(covariance) @ basis.T
+    return 0.5 * (information + information.T) / np.outer(UNITS, UNITS)

@@ -17,7 +17,10 @@ from sl3d_slam.graph.noise import step_covariance
 from sl3d_slam.types import LoopConstraint
 
 SETTINGS = GraphSettings(  # the noise that the worlds of these tests are made with
-    odometry_rotation_sigma_deg=0.05, odometry_translation_sigma_m=0.02
+    odometry_rotation_sigma_deg=0.05,
+    odometry_translation_sigma_m=0.02,
+    odometry_translation_fraction=0.005,
+    drift_inflation=1.0,  # their noise is white
 )
 LOOP_SIGMAS = np.array([0.004, 0.006, 0.002, 0.05, 0.03, 0.08])
 INFORMATION = np.diag(LOOP_SIGMAS**-2.0)
