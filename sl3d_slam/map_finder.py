@@ -21,6 +21,7 @@ SAME_POSE_M = 2.0
 SAME_POSE_RAD = np.radians(8.0)
 MIN_LEAD = 2.0  # in log odds, over any other place of the map
 MAP_BIAS = -2.5  # log odds in a map at which right and wrong are equally likely
+RIVAL_SHARE = 0.7  # of the best guess's score, above which another is refined in any case
 LINE_VOTE = 0.05  # what one agreeing line adds to the mean field value
 CACHE_SIZE = 64
 
@@ -70,21 +71,31 @@ class MapFinder:
         return self.retrieval.guesses(query, NUM_GUESSES)
 
     def _refine_best(self, query: PreparedView, guesses: list[MapGuess]) -> list[_Found]:
-        """Refine the guesses that the bird's-eye fields like best."""
+        """Refine the guesses that the bird's-eye fields like best.
+
+        Those that score far less than one which would do as the answer are no rivals to it.
+        """
         lifted: list[tuple[float, int, Transform]] = []
         for guess in guesses:
             place = self._place(guess.keyframe)
             pose = flatten(query, place, guess.T_place_lidar)
             score = float(field_agreement(query, place, pose[None])[0]) + LINE_VOTE * guess.score
             lifted.append((score, guess.keyframe, lift(query, place, pose)))
+        lifted.sort(key=lambda one: -one[0])
         found: list[_Found] = []
-        for _, keyframe, T_place_lidar in sorted(lifted, key=lambda one: -one[0])[:NUM_REFINED]:
+        for score, keyframe, T_place_lidar in lifted[:NUM_REFINED]:
+            if score < RIVAL_SHARE * lifted[0][0] and self._stands(found):
+                break
             place = self._place(keyframe)
             evidence = gather_evidence(query, place, T_place_lidar, self._matching)
             if evidence is not None:
                 T_map_lidar = self.places.frame(keyframe) @ evidence.T_target_source
                 found.append(_Found(T_map_lidar, keyframe, evidence))
         return sorted(found, key=lambda one: -one.evidence.log_odds)
+
+    def _stands(self, found: list[_Found]) -> bool:
+        """Tell whether a guess that was refined would do as the answer."""
+        return any(not objection(one.evidence, self._judging) for one in found)
 
     def _decide(self, found: list[_Found]) -> MapAnswer:
         if not found:
@@ -132,7 +143,7 @@ def confidence(log_odds: float, lead: float) -> float:
 def same_pose(T_map_a: Transform, T_map_b: Transform) -> bool:
     """Tell whether two answers are one: less than 2 m and 8 degrees apart."""
     T_a_b = invert(T_map_a) @ T_map_b
-    return distance_m(T_a_b) < SAME_POSE_M and rotation_angle_rad(T_a_b) < SAME_POSE_RAD
+    return bool(distance_m(T_a_b) < SAME_POSE_M and rotation_angle_rad(T_a_b) < SAME_POSE_RAD)
 
 
 def _no(reason: str) -> MapAnswer:

@@ -179,7 +179,7 @@ def _agrees(T_first_map: Transform, first: LineMap, second: LineMap, one: Tie, b
     T_error = invert(T_expected) @ first.T_map_keyframe[one.first] @ one.T_first_second
     apart = second.T_map_keyframe[one.second, :3, 3] - second.T_map_keyframe[by.second, :3, 3]
     allowed_m = AGREE_M + AGREE_PER_M * float(np.linalg.norm(apart))
-    return distance_m(T_error) < allowed_m and rotation_angle_rad(T_error) < AGREE_RAD
+    return bool(distance_m(T_error) < allowed_m and rotation_angle_rad(T_error) < AGREE_RAD)
 
 
 def _skeleton(
