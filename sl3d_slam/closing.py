@@ -23,7 +23,7 @@ from sl3d_slam.registration import field_agreement
 from sl3d_slam.types import LoopConstraint, Rejection, View
 from sl3d_slam.viewing import view_of
 
-CACHE_SIZE = 24
+CACHE_SIZE = 8  # of about 4 MB; a search needs two
 
 
 class LoopCloser:

@@ -43,14 +43,20 @@ class PlaceVote:
 
 
 class ConstellationIndex:
-    """All views seen so far, by the triangles of their standing lines."""
+    """All views seen so far, by the triangles of their standing lines.
+
+    A triangle takes 11 bytes: the next one in its slot, the row of its view, three lines of it.
+    """
 
     def __init__(self) -> None:
         self._heads = np.full(NUM_HEADS, -1, np.int32)
-        self._links = np.full(4096, -1, np.int32)
-        self._owners = np.zeros(4096, np.int32)
-        self._corners = np.zeros((4096, 3, 2), np.float32)
+        self._links = np.empty(0, np.int32)
+        self._owners = np.empty(0, np.int32)
+        self._picks = np.empty((0, 3), np.uint8)
         self._num_entries = 0
+        self._view_ids = np.empty(0, np.int64)
+        self._xy = np.empty((0, MAX_LINES, 2), np.float32)
+        self._num_views = 0
 
     def __len__(self) -> int:
         """Return the number of stored triangles."""
@@ -62,12 +68,15 @@ class ConstellationIndex:
         """Store the triangles of a view's strongest lines, in its levelled frame."""
         xy = xy[_strongest(weights)]
         triangles = local_triangles(xy, NEIGHBOURS)
-        first, last = self._num_entries, self._num_entries + len(triangles)
-        self._reserve(last)
+        first, last, row = self._num_entries, self._num_entries + len(triangles), self._num_views
+        self._links, self._owners, self._picks = (
+            _with_room(array, last) for array in (self._links, self._owners, self._picks)
+        )
+        self._view_ids, self._xy = (_with_room(a, row + 1) for a in (self._view_ids, self._xy))
+        self._view_ids[row], self._xy[row, : len(xy)] = view_id, xy
         insert(self._heads, self._links, first, xy, triangles)
-        self._owners[first:last] = view_id
-        self._corners[first:last] = xy[triangles]
-        self._num_entries = last
+        self._owners[first:last], self._picks[first:last] = row, triangles
+        self._num_entries, self._num_views = last, row + 1
 
     def query(
         self,
@@ -82,21 +91,20 @@ class ConstellationIndex:
             xy,
             all_triangles(xy, SIDE_TOLERANCE_M),
             self._heads,
-            self._links,
-            self._owners,
-            self._corners,
+            (self._links, self._owners, self._picks),
+            (self._view_ids, self._xy),
             newest_view_id,
         )
         return _best_per_view(poses, owners, limit)
 
-    def _reserve(self, count: int) -> None:
-        size = len(self._links)
-        if count <= size:
-            return
-        grown = max(count, 2 * size)
-        self._links = np.resize(self._links, grown)
-        self._owners = np.resize(self._owners, grown)
-        self._corners = np.resize(self._corners, (grown, 3, 2))
+
+def _with_room(array: np.ndarray, count: int) -> np.ndarray:
+    """Return the array, or a copy with room for at least so many rows; fresh rows hold anything."""
+    if count <= len(array):
+        return array
+    grown = np.empty((max(count, 2 * len(array), 64), *array.shape[1:]), array.dtype)
+    grown[: len(array)] = array
+    return grown
 
 
 def _strongest(weights: np.ndarray) -> np.ndarray:
@@ -153,17 +161,19 @@ def _gather(poses: np.ndarray, around: np.ndarray) -> tuple[float, float, float,
 
 @njit(cache=True)
 @no_type_check
-def _collect(  # noqa: PLR0913
+def _collect(
     xy: np.ndarray,
     triangles: np.ndarray,
     heads: np.ndarray,
-    links: np.ndarray,
-    owners: np.ndarray,
-    corners: np.ndarray,
+    entries: tuple[np.ndarray, np.ndarray, np.ndarray],
+    views: tuple[np.ndarray, np.ndarray],
     newest_view_id: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a planar pose and a view for each stored triangle that equals one of the query's."""
+    links, owners, picks = entries
+    view_ids, view_xy = views
     poses, voters = np.empty((MAX_VOTES, 3)), np.empty(MAX_VOTES, np.int32)
+    stored = np.empty((3, 2), np.float32)
     n = 0
     slots = np.empty(8, np.int64)
     for t in range(len(triangles)):
@@ -172,9 +182,13 @@ def _collect(  # noqa: PLR0913
         for s in range(8):
             entry = heads[slots[s]] if np.sum(slots[:s] == slots[s]) == 0 else -1
             while entry >= 0 and n < MAX_VOTES:
-                if owners[entry] <= newest_view_id and _same_sides(corner, corners[entry]):
-                    _lay_on(corner, corners[entry], poses[n])
-                    voters[n] = owners[entry]
+                row = owners[entry]
+                for k in range(3):
+                    stored[k, 0] = view_xy[row, picks[entry, k], 0]
+                    stored[k, 1] = view_xy[row, picks[entry, k], 1]
+                if view_ids[row] <= newest_view_id and _same_sides(corner, stored):
+                    _lay_on(corner, stored, poses[n])
+                    voters[n] = view_ids[row]
                     n += 1
                 entry = links[entry]
     return poses[:n], voters[:n]
