@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor, nn
 
+from sl3d_slam.lines.network.edge_max import edge_max
 from sl3d_slam.lines.network.gather import gather_max
 
 PIECE = 512
@@ -56,7 +57,10 @@ class OffsetConv(nn.Module):
 
     def forward(self, offsets: Float32[Tensor, "M k C"]) -> Float32[Tensor, "M D"]:
         """Return features of points from the offsets of their neighbours."""
-        if torch.is_grad_enabled():
+        if torch.is_grad_enabled() and offsets.dtype == torch.float32 and not offsets.is_cuda:
+            pre = self.first(offsets.flatten(0, 1))
+            largest = edge_max(pre, self.second.weight, offsets.shape[1]) + self.second.bias
+        elif torch.is_grad_enabled():
             largest = self._largest(offsets)
         else:  # pieces that stay in the processor's cache
             largest = torch.cat([self._largest(piece) for piece in torch.split(offsets, PIECE)])
