@@ -40,7 +40,7 @@ class ConfirmationSettings(Settings):
 
 
 def confirmed(
-    found: Sequence[Segments],
+    found: Sequence[Float64[np.ndarray, "_ 2 3"]],
     T_world_lidar: Float64[np.ndarray, "S 4 4"],
     settings: ConfirmationSettings,
 ) -> list[Bool[np.ndarray, "_"]]:
@@ -64,8 +64,28 @@ def confirmed(
     return verdicts
 
 
+def lines_of_others(
+    scan: int,
+    sure: Sequence[Float64[np.ndarray, "_ 2 3"]],
+    T_world_lidar: Float64[np.ndarray, "S 4 4"],
+    settings: ConfirmationSettings,
+) -> Segments:
+    """Return, in the frame of a scan, the lines of scans near by that it does not show itself."""
+    places = T_world_lidar[:, :3, 3]
+    baseline = np.linalg.norm(places - places[scan], axis=1)
+    others = np.flatnonzero(baseline <= settings.max_baseline_m)
+    T_scan_world = invert(T_world_lidar[scan])
+    local = [
+        transform_segments(T_scan_world @ T_world_lidar[other], sure[other])
+        for other in others.tolist()
+        if other != scan
+    ]
+    joined = np.concatenate([np.zeros((0, 2, 3)), *local])
+    return joined[~seen_again(joined, sure[scan], settings)]
+
+
 def seen_again(
-    segments: Segments, others: Segments, settings: ConfirmationSettings
+    segments: Segments, others: Float64[np.ndarray, "B 2 3"], settings: ConfirmationSettings
 ) -> Bool[np.ndarray, "L"]:
     """Tell which segments lie along one of the others; both in one frame."""
     if len(segments) == 0 or len(others) == 0:
@@ -77,7 +97,7 @@ def seen_again(
 
 
 def line_gaps_m(
-    segments: Segments, others: Segments
+    segments: Float64[np.ndarray, "A 2 3"], others: Float64[np.ndarray, "B 2 3"]
 ) -> tuple[Float64[np.ndarray, "A B"], Float64[np.ndarray, "A B"]]:
     """Return the gap between two segments across and along the second, in metres.
 

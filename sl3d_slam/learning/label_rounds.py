@@ -16,7 +16,7 @@ import numpy as np
 from sl3d_slam.errors import InputError
 from sl3d_slam.files import prepare_run_folder, write_whole
 from sl3d_slam.io.dataset import Dataset
-from sl3d_slam.learning.confirmation import confirmed
+from sl3d_slam.learning.confirmation import confirmed, lines_of_others
 from sl3d_slam.learning.label_pictures import draw_labels
 from sl3d_slam.learning.label_poses import drive_poses
 from sl3d_slam.learning.label_truth import LabelScore, read_town_truth
@@ -97,7 +97,7 @@ def run_rounds(
         for _ in _vote(run, weights, folder / "votes", indices):
             progress(f"round {number}: votes", 1)
         found = [read_candidates(folder / "votes" / f"{index:06d}.npz") for index in indices]
-        judged = _confirm(found, T_world_lidar, run.settings)
+        judged = judge_lines(found, T_world_lidar, run.settings)
         for index, candidates in zip(indices, judged, strict=True):
             _label_scan(dataset, folder, index, candidates)
             progress(f"round {number}: labels", 1)
@@ -150,15 +150,23 @@ def _vote_in_worker(index: int) -> None:
     _worker.vote(index)
 
 
-def _confirm(
+def judge_lines(
     found: list[Candidates], T_world_lidar: np.ndarray, settings: LabelSettings
 ) -> list[Candidates]:
-    """Move the lines that no other scan confirms to the doubtful ones."""
+    """Move the lines that no other scan confirms to the doubtful ones.
+
+    What scans near by have confirmed but this one does not show is doubtful here, too: it may be
+    hidden, or only missed.
+    """
     verdicts = confirmed([c.lines for c in found], T_world_lidar, settings.confirmation)
-    return [
-        Candidates(c.votes, c.lines[sure], np.concatenate([c.doubtful, c.lines[~sure]]))
-        for c, sure in zip(found, verdicts, strict=True)
-    ]
+    sure = [c.lines[verdict] for c, verdict in zip(found, verdicts, strict=True)]
+    judged = []
+    for scan, candidates in enumerate(found):
+        missed = lines_of_others(scan, sure, T_world_lidar, settings.confirmation)
+        unconfirmed = candidates.lines[~verdicts[scan]]
+        doubtful = np.concatenate([candidates.doubtful, unconfirmed, missed])
+        judged.append(Candidates(candidates.votes, sure[scan], doubtful))
+    return judged
 
 
 def _label_scan(dataset: Dataset, folder: Path, index: int, candidates: Candidates) -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float64
 
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import Transform, invert
@@ -99,7 +99,7 @@ def read_town_truth(sequence: Path) -> TownTruth | None:
     return TownTruth(sequence, _column(path, "endpoints"), _column(path, "kinds"))
 
 
-def _partners(found: Segments, true: Segments) -> Bool[np.ndarray, "V"]:
+def _partners(found: Segments, true: Float64[np.ndarray, "V 2 3"]) -> Bool[np.ndarray, "V"]:
     """Tell which true lines a found one lies along, judged from the found one's middle."""
     hits = np.zeros(len(true), bool)
     for row in range(len(true)):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 from pydantic import Field
 
 from sl3d_slam.config import InputSettings, Settings
@@ -69,7 +69,7 @@ class Candidates:
 
     votes: Float32[np.ndarray, "n"]
     lines: Segments
-    doubtful: Segments
+    doubtful: Float64[np.ndarray, "U 2 3"]
 
 
 def find_candidates(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Float32, Float64, Int32
 
 from sl3d_slam.errors import InputError
 from sl3d_slam.files import write_whole
@@ -65,7 +65,7 @@ def read_labels(path: Path, num_points: int | None = None) -> ScanLabels:
 
 
 def label_points(
-    points_lidar: Points, votes: np.ndarray, lines: Segments, doubtful: Segments
+    points_lidar: Points, votes: np.ndarray, lines: Segments, doubtful: Float64[np.ndarray, "U 2 3"]
 ) -> ScanLabels:
     """Say for each point which line it belongs to.
 

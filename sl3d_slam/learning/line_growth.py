@@ -5,7 +5,7 @@ hold several lines, such as the three edges of a corner, so it is emptied line b
 """
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 from pydantic import Field
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -80,15 +80,23 @@ def _lines_of(
         on_line = _longest_run(left, line, settings)
         if len(on_line) < settings.min_points:
             break
-        along = (left - line[0]) @ line[1]
-        low, high = along[on_line].min(), along[on_line].max()
-        beside = distance_to_line_m(left, *line) < BESIDE * settings.reach_m
-        beside &= (along >= low) & (along <= high)
-        pure = len(on_line) >= settings.min_purity * np.count_nonzero(beside)
+        along = (left[on_line] - line[0]) @ line[1]
+        low, high = float(along.min()), float(along.max())
+        around = np.count_nonzero(_beside(points, line, (low, high), settings))
+        pure = len(on_line) >= settings.min_purity * around
         if pure and high - low >= settings.min_length_m:
             found.append(line[0] + np.array([[low], [high]]) * line[1])
-        left = left[~beside]
+        left = left[~_beside(left, line, (low, high), settings)]
     return found
+
+
+def _beside(
+    points: Points, line: Line, span: tuple[float, float], settings: GrowthSettings
+) -> Bool[np.ndarray, "N"]:
+    """Tell which points lie along a stretch of a line or closely beside it."""
+    along = (points - line[0]) @ line[1]
+    near = distance_to_line_m(points, *line) < BESIDE * settings.reach_m
+    return near & (along >= span[0]) & (along <= span[1])
 
 
 def _settled(points: Points, line: Line, settings: GrowthSettings) -> Line:

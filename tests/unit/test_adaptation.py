@@ -11,9 +11,15 @@ from sl3d_slam.geometry.se3 import from_yaw, invert
 from sl3d_slam.geometry.segments import transform_segments
 from sl3d_slam.learning.adaptation import AdaptationSettings, line_votes, random_view
 from sl3d_slam.learning.confirmation import ConfirmationSettings, confirmed, seen_again
-from sl3d_slam.learning.label_rounds import LabelRun, run_rounds
+from sl3d_slam.learning.label_rounds import LabelRun, judge_lines, run_rounds
 from sl3d_slam.learning.label_truth import read_town_truth
-from sl3d_slam.learning.labelling import LabelSettings, Source, find_candidates, read_candidates
+from sl3d_slam.learning.labelling import (
+    Candidates,
+    LabelSettings,
+    Source,
+    find_candidates,
+    read_candidates,
+)
 from sl3d_slam.learning.labels import (
     UNKNOWN,
     ScanLabels,
@@ -63,7 +69,7 @@ def test_views_differ_and_every_point_knows_its_voxel(rng):
     points = street(rng)
     first, voxel_of = random_view(points, FEW, rng)
     second, _ = random_view(points, FEW, rng)
-    assert len(np.intersect1d(first, second)) < 0.7 * len(first)
+    assert len(np.intersect1d(first, second)) < 0.8 * len(first)
     shown = voxel_of >= 0
     gap = np.abs(points[first[voxel_of[shown]]] - points[shown]).max()
     assert gap < 0.25 * np.sqrt(2) + 1e-9  # one voxel, turned
@@ -89,7 +95,7 @@ def test_growth_separates_the_edges_of_a_corner(rng):
     # four standard deviations of the noise of one point; ends may miss the corner by the reach
     exact = ConfirmationSettings(distance_m=0.12, angle_deg=4.0)
     assert seen_again(edges, grown, exact).all()
-    assert np.linalg.norm(grown[:, 1] - grown[:, 0], axis=1).min() > 3.4
+    assert np.linalg.norm(grown[:, 1] - grown[:, 0], axis=1).min() > 3.1
 
 
 def test_a_patch_of_candidates_is_no_line(rng):
@@ -260,3 +266,18 @@ def test_a_scan_without_lines_has_no_candidates(rng):
     candidates = find_candidates(network, street(rng), settings, 0)
     assert len(candidates.lines) == 0
     assert candidates.votes.max() == 0
+
+
+def test_what_others_confirm_is_doubtful_where_it_is_missed():
+    poses = np.stack([from_yaw(0.3 * k, np.array([2.0 * k, 0.5 * k, 0])) for k in range(6)])
+    found = [transform_segments(invert(T), POLE[None]) for T in poses]
+    found[2] = np.zeros((0, 2, 3))
+    votes = np.zeros(10, np.float32)
+    none = np.zeros((0, 2, 3))
+    judged = judge_lines(
+        [Candidates(votes, lines, none) for lines in found], poses, LabelSettings()
+    )
+    assert [len(c.lines) for c in judged] == [1, 1, 0, 1, 1, 1]
+    assert [len(c.doubtful) > 0 for c in judged] == [False, False, True, False, False, False]
+    world = transform_segments(poses[2], judged[2].doubtful)
+    np.testing.assert_allclose(world, np.broadcast_to(POLE, world.shape), atol=1e-9)
