@@ -9,9 +9,11 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from functools import cached_property
 
 import numba
 
@@ -46,22 +48,21 @@ class ViewMaker:
 
     def __init__(self, config: SlamConfig, workers: int = 0) -> None:
         self.workers = workers
-        self._make: Callable[[Points], Made] | None = None
+        self._here = _Bench(config) if workers == 0 else None
         self._pool: ProcessPoolExecutor | None = None
-        if workers == 0:
-            self._make = _Bench(config)
-        else:
+        if workers > 0:
             spawn = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(workers, spawn, _begin, (config,))
-            self._pool.submit(int)  # starts the first process while the first scan is registered
+            self._pool.submit(_warm_up)  # while the first scan is registered
 
     def start(self, points_lidar: Points) -> "Future[Made]":
         """Begin a view; without workers it is done on return, and errors are raised here."""
         if self._pool is not None:
-            return self._pool.submit(_make, points_lidar)
-        assert self._make is not None
+            with _death_explained():
+                return self._pool.submit(_make, points_lidar)
+        assert self._here is not None
         done: Future[Made] = Future()
-        done.set_result(self._make(points_lidar))
+        done.set_result(self._here.make(points_lidar))
         return done
 
     def close(self) -> None:
@@ -78,8 +79,14 @@ def result_of(future: "Future[Made]") -> Made:
     Sl3dError
         where the process died.
     """
-    try:
+    with _death_explained():
         return future.result()
+
+
+@contextmanager
+def _death_explained() -> Iterator[None]:
+    try:
+        yield
     except BrokenProcessPool:
         raise Sl3dError(
             "the process that finds lines was killed, perhaps for want of memory; "
@@ -88,15 +95,20 @@ def result_of(future: "Future[Made]") -> Made:
 
 
 class _Bench:
-    """Where views are made: an extractor and its settings."""
+    """Where views are made: settings and an extractor, which loads when it is first needed."""
 
     def __init__(self, config: SlamConfig) -> None:
         self._config = config
-        self._extractor = LineExtractor(config.lines)
 
-    def __call__(self, points_lidar: Points) -> Made:
+    @cached_property
+    def extractor(self) -> LineExtractor:
+        """The line extractor of the settings."""
+        return LineExtractor(self._config.lines)
+
+    def make(self, points_lidar: Points) -> Made:
+        """Make a packed view."""
         start_s = time.perf_counter()
-        raw = to_bytes(pack(view_of(points_lidar, self._extractor, self._config)))
+        raw = to_bytes(pack(view_of(points_lidar, self.extractor, self._config)))
         return raw, time.perf_counter() - start_s
 
 
@@ -119,6 +131,11 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
+def _warm_up() -> None:
+    assert _bench is not None
+    _bench.extractor  # noqa: B018  (loads what it needs)
+
+
 def _make(points_lidar: Points) -> Made:
     assert _bench is not None
-    return _bench(points_lidar)
+    return _bench.make(points_lidar)
