@@ -16,9 +16,11 @@ from jaxtyping import Float64
 from sl3d_slam.closing import KeptClouds, LoopCloser
 from sl3d_slam.config import SlamConfig, dump_config
 from sl3d_slam.errors import InputError
+from sl3d_slam.geometry.geodesy import GeoReference
 from sl3d_slam.geometry.se3 import Transform
-from sl3d_slam.graph.final import optimise_all_scans
+from sl3d_slam.graph.final import keyframe_covariances, optimise_all_scans
 from sl3d_slam.graph.pose_graph import PoseGraph
+from sl3d_slam.graph.world import place_in_world
 from sl3d_slam.io.points import checked_points, usable
 from sl3d_slam.journal import Journal
 from sl3d_slam.keyframes import KeyframeSelector
@@ -33,6 +35,7 @@ from sl3d_slam.types import (
     Rejection,
     Scan,
     Trajectory,
+    WorldMeasurements,
 )
 from sl3d_slam.viewing import Made, ViewMaker, result_of
 
@@ -124,8 +127,14 @@ class SlamPipeline:
             self._take_up(2 * self._maker.workers)
         return registered
 
-    def finish(self) -> Run:
-        """Optimise over all scans and build the map; the pipeline may not be used afterwards."""
+    def finish(
+        self, measurements: WorldMeasurements | None = None, covariance: bool = False
+    ) -> Run:
+        """Optimise over all scans and build the map; the pipeline may not be used afterwards.
+
+        ``measurements`` of other sensors (GPS, gravity) pull the trajectory straight and tell where
+        the map lies; ``covariance`` asks for the marginals of every keyframe.
+        """
         if not self._stamps_s:
             raise InputError("no scan was given, so there is nothing to map")
         self._take_up(0)
@@ -140,10 +149,17 @@ class SlamPipeline:
                 self._graph.accepted_loops,
                 self.config.graph,
             )
+            stamps_s = np.array(self._stamps_s)
+            world = None
+            if measurements:
+                odometry = Trajectory(stamps_s, T_odom_lidar)
+                world = place_in_world(final, odometry, measurements, self.config.world)
+                final = world.graph
+        place = None if world is None else world.georeference
         with self._timed("map"):
-            line_map = self._build_map(final.T_world_lidar)
+            line_map = self._build_map(final.T_world_lidar, place)
         self._journal.close()
-        stamps_s = np.array(self._stamps_s)
+        keyframe_scans = list(self._scan_of_keyframe.values())
         return Run(
             config=self.config,
             trajectory=Trajectory(stamps_s, final.T_world_lidar),
@@ -153,6 +169,8 @@ class SlamPipeline:
             line_map=line_map,
             num_keyframes=len(self._scan_of_keyframe),
             times=self._times,
+            world=None if world is None else world.facts(),
+            covariances=keyframe_covariances(final, keyframe_scans) if covariance else None,
         )
 
     def _open(self, keyframe: Keyframe, scan_index: int) -> None:
@@ -197,7 +215,9 @@ class SlamPipeline:
             else:
                 self._rejections.append(outcome)
 
-    def _build_map(self, T_world_lidar: Float64[np.ndarray, "N 4 4"]) -> LineMap:
+    def _build_map(
+        self, T_world_lidar: Float64[np.ndarray, "N 4 4"], place: GeoReference | None
+    ) -> LineMap:
         keyframes = list(self._scan_of_keyframe)
         lines, up = [], []
         for keyframe_id in keyframes:
@@ -210,7 +230,9 @@ class SlamPipeline:
             np.array(up),
             KeptClouds(self._closer, keyframes) if self.config.map.clouds else None,
             self.config.map,
-            MapOrigin(config=dump_config(self.config), simulated=self._simulated),
+            MapOrigin(
+                config=dump_config(self.config), simulated=self._simulated, georeference=place
+            ),
         )
 
     def _loop_records(self) -> list[LoopRecord]:

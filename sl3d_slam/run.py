@@ -14,15 +14,17 @@ import numpy as np
 from sl3d_slam import __version__
 from sl3d_slam.config import SlamConfig, dump_config
 from sl3d_slam.files import prepare_run_folder, write_whole
+from sl3d_slam.io.covariances import write_covariances
 from sl3d_slam.io.dataset import Dataset
 from sl3d_slam.io.json_files import write_json
 from sl3d_slam.io.trajectory import to_camera_frame, write_kitti_poses, write_tum
 from sl3d_slam.mapping.facts import map_facts
+from sl3d_slam.mapping.georeference import georeference_tree
 from sl3d_slam.mapping.line_map import LineMap
 from sl3d_slam.report.map_pictures import draw_map
 from sl3d_slam.report.metrics import ate_rmse_m, count_false_loops, kitti_errors
 from sl3d_slam.report.trajectory import draw_trajectory
-from sl3d_slam.types import LoopRecord, Trajectory
+from sl3d_slam.types import KeyframeCovariances, LoopRecord, Trajectory
 
 REPORTED_PACKAGES = ("numpy", "scipy", "numba", "gtsam", "kiss-icp", "small_gicp", "torch")
 
@@ -60,6 +62,8 @@ class Run:
     loops : every verified candidate, with what became of it.
     graph_g2o : the final graph as a g2o file's text.
     line_map : the landmarks, in the world frame.
+    world : what became of GPS and gravity, where given.
+    covariances : marginals of the keyframes, where asked for.
     """
 
     config: SlamConfig
@@ -70,6 +74,8 @@ class Run:
     line_map: LineMap
     num_keyframes: int
     times: StageTimes
+    world: dict[str, Any] | None = None
+    covariances: KeyframeCovariances | None = None
 
     def metrics(self, dataset: Dataset | None = None) -> dict[str, Any]:
         """Return the content of ``metrics.json``; truth-based figures only where truth is known."""
@@ -125,11 +131,14 @@ class Run:
         write_json(folder / "loops.json", [loop_tree(loop) for loop in self.loops])
         write_whole(folder / "graph.g2o", self.graph_g2o)
         self.line_map.save(folder / "map.sl3d")
+        if self.covariances is not None:
+            stamps_s = self.trajectory.stamps_s
+            write_covariances(folder / "covariance.txt", self.covariances, stamps_s)
         write_whole(folder / "config.yaml", dump_config(self.config))
         self._draw(folder, dataset)
         figures = self.metrics(dataset) | dict(extra_figures or {})
         write_json(folder / "metrics.json", figures)
-        write_json(folder / "run.json", _provenance(self.config, dataset))
+        write_json(folder / "run.json", _provenance(self, dataset))
         return figures
 
     def _draw(self, folder: Path, dataset: Dataset | None) -> None:
@@ -162,14 +171,16 @@ def loop_tree(loop: LoopRecord) -> dict[str, Any]:
     }
 
 
-def _provenance(config: SlamConfig, dataset: Dataset | None) -> dict[str, Any]:
+def _provenance(run: Run, dataset: Dataset | None) -> dict[str, Any]:
     return {
         "sl3d_slam": __version__,
         "python": platform.python_version(),
         "platform": platform.platform(),
         "packages": {name: metadata.version(name) for name in REPORTED_PACKAGES},
-        "seed": config.seed,
+        "seed": run.config.seed,
         "input": None if dataset is None else dataset.description,
         "simulated": bool(dataset is not None and dataset.simulated),
         "warnings": [] if dataset is None else list(dataset.warnings),
+        "world": run.world,
+        "georeference": georeference_tree(run.line_map.origin.georeference),
     }

@@ -270,3 +270,16 @@ class WorldMeasurements:
     def __bool__(self) -> bool:
         """Tell whether there is anything."""
         return self.positions is not None or self.ups is not None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframeCovariances:
+    """Marginals of keyframe poses.
+
+    ``covariances`` (K, 6, 6) are rotation first, each at its own lidar frame, for the scans in
+    ``scans``; ``relative_to`` says in words what they are measured against.
+    """
+
+    scans: list[int]
+    covariances: Float64[np.ndarray, "K 6 6"]
+    relative_to: str

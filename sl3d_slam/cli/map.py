@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from sl3d_slam.io.dataset import Dataset
     from sl3d_slam.journal import Journal
     from sl3d_slam.run import Run
+    from sl3d_slam.types import WorldMeasurements
 
 
 def map_(
@@ -40,6 +41,17 @@ def map_(
         typer.Option("--resume", help="Continue an interrupted run in the same folder, if any."),
     ] = False,
     workers: WorkersOption = None,
+    covariance: Annotated[
+        bool, typer.Option("--covariance", help="Write the covariance of every keyframe's pose.")
+    ] = False,
+    gps: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Positions: TUM, or CSV with t,lat,lon,alt[,sigma]."),
+    ] = None,
+    attitude: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Gravity or IMU: CSV t,up_x,up_y,up_z or t,qx,..,qw."),
+    ] = None,
     quiet: QuietOption = False,
     json: JsonOption = False,
 ) -> None:
@@ -47,13 +59,15 @@ def map_(
     from sl3d_slam.config import load_config
     from sl3d_slam.files import prepare_run_folder
     from sl3d_slam.io.open import open_dataset
+    from sl3d_slam.io.world_files import read_world
     from sl3d_slam.journal import open_journal
 
     settings = load_config(config, overrides or ())
+    measurements = read_world(gps, attitude, settings.world)
     opened = open_dataset(data, settings.input, dataset, sequence, topic)
     prepare_run_folder(out)
     journal = open_journal(out, _identity(opened, settings), resume)
-    slam = Mapping(settings, scans, quiet, workers, journal)
+    slam = Mapping(settings, scans, quiet, workers, journal, measurements, covariance)
     figures = run_map(opened, out, slam)
     journal.remove()
     if json:
@@ -78,6 +92,8 @@ class Mapping:
     quiet: bool = False
     workers: int | None = None
     journal: "Journal | None" = None
+    measurements: "WorldMeasurements | None" = None
+    covariance: bool = False
 
 
 def run_map(opened: "Dataset", out: Path, mapping: Mapping) -> dict[str, Any]:
@@ -106,7 +122,7 @@ def drive_through(opened: "Dataset", mapping: Mapping) -> "Run":
         for scan in opened.iterate(0, total):
             slam.process(scan)
             meter.advance(f"loops {slam.num_loops}")
-    return slam.finish()
+    return slam.finish(mapping.measurements, mapping.covariance)
 
 
 def _identity(opened: "Dataset", settings: "SlamConfig") -> dict[str, str]:

@@ -16,7 +16,7 @@ from sl3d_slam.graph.g2o import G2oGraph, format_g2o
 from sl3d_slam.graph.noise import Matrix6, step_covariance
 from sl3d_slam.graph.rigid import rigid_transforms
 from sl3d_slam.graph.solve import Edge, Prior, anchor, optimise
-from sl3d_slam.types import LoopConstraint
+from sl3d_slam.types import KeyframeCovariances, LoopConstraint
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +79,12 @@ def optimise_all_scans(
     _, values = optimise(dict(enumerate(start)), edges, priors)
     poses = np.array([values.atPose3(index).matrix() for index in range(len(T_odom_lidar))])
     return FinalGraph(poses, edges, priors, fixed=(0,))
+
+
+def keyframe_covariances(graph: FinalGraph, scans: Sequence[int]) -> KeyframeCovariances:
+    """Return the marginals of the chosen scans of a solved graph, and what they refer to."""
+    frame = "the first scan" if graph.fixed else "the world of GPS and gravity"
+    return KeyframeCovariances(list(scans), marginal_covariances(graph, scans), frame)
 
 
 def marginal_covariances(

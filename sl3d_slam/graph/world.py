@@ -8,6 +8,7 @@ the set no longer changes; what remains is Gaussian.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -15,6 +16,7 @@ from jaxtyping import Bool
 
 from sl3d_slam.config import WorldSettings
 from sl3d_slam.errors import GraphError
+from sl3d_slam.geometry.geodesy import GeoReference
 from sl3d_slam.geometry.se3 import Transform, exp, invert, transform_points
 from sl3d_slam.graph.batched import Transforms
 from sl3d_slam.graph.final import FinalGraph
@@ -46,12 +48,22 @@ class WorldGraph:
     graph : the solved graph in the map's frame; its priors stand for the fixes that count.
     T_world_map : ``p_world = T_world_map @ p_map``; the world is ENU with GPS, else level.
     num_used, num_given : fixes that count, among those that fall into the drive.
+    georeference : ``T_world_map`` and its origin, where there is GPS.
     """
 
     graph: FinalGraph
     T_world_map: Transform
     num_used: int
     num_given: int
+    georeference: GeoReference | None
+
+    def facts(self) -> dict[str, Any]:
+        """Return what ``run.json`` tells of it."""
+        return {
+            "fixes_used": self.num_used,
+            "fixes_given": self.num_given,
+            "T_world_map": self.T_world_map.tolist(),
+        }
 
 
 def place_in_world(
@@ -83,7 +95,11 @@ def place_in_world(
         fixes += up_fixes(measurements.ups, odometry, settings)
     start = _first_scan(T_world_map @ final.T_world_lidar[0], measurements)
     values, used = _solve(final, fixes, T_world_map, start)
-    return _in_map_frame(final, values, start, fixes, used)
+    world = _in_map_frame(final, values, start, fixes, used)
+    if measurements.positions is None:
+        return world
+    place = GeoReference(world.T_world_map, measurements.positions.origin)
+    return replace(world, georeference=place)
 
 
 def _first_scan(T_world_lidar: Transform, measurements: WorldMeasurements) -> Prior:
@@ -144,7 +160,7 @@ def _in_map_frame(
         for fix in _chosen(fixes, used)
     ]
     graph = replace(final, T_world_lidar=T_map_world @ poses, priors=priors, fixed=())
-    return WorldGraph(graph, T_world_map, int(used.sum()), len(used))
+    return WorldGraph(graph, T_world_map, int(used.sum()), len(used), None)
 
 
 def prior_of(

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
+from sl3d_slam.geometry.geodesy import GeoReference
 from sl3d_slam.mapping.file import VERSION, to_bytes
 from sl3d_slam.mapping.line_map import LineMap
 from sl3d_slam.types import LineKind
@@ -35,6 +36,7 @@ def map_facts(line_map: LineMap) -> dict[str, Fact]:
         "format_version": VERSION,
         "model": line_map.model,
         "simulated": line_map.simulated,
+        "georeference": _georeference_text(line_map.origin.georeference),
         "landmarks": len(line_map),
         "landmarks_by_kind": {kind.name.lower(): int(kinds[kind]) for kind in LineKind},
         "descriptor_dimension": line_map.lines.descriptors.shape[1],
@@ -50,6 +52,21 @@ def map_facts(line_map: LineMap) -> dict[str, Fact]:
         "kb_per_km": size_kb / street_km if street_km else None,
         "lines_kb_per_km": lines_kb / street_km if street_km else None,
     }
+
+
+def _georeference_text(georeference: GeoReference | None) -> str | None:
+    """Return origin and T_enu_map in a line."""
+    if georeference is None:
+        return None
+    T, origin = georeference.T_enu_map, georeference.origin
+    where = (
+        "a metric frame"
+        if origin is None
+        else f"{origin.latitude_deg:.9f} {origin.longitude_deg:.9f} deg {origin.altitude_m:.3f} m"
+    )
+    yaw_deg = float(np.degrees(np.arctan2(T[1, 0], T[0, 0])))
+    shift = " ".join(f"{x:.3f}" for x in T[:3, 3])
+    return f"ENU of {where}; map's origin at {shift} m, its x axis {yaw_deg:.3f} deg from east"
 
 
 def street_steps(

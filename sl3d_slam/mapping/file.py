@@ -15,6 +15,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from sl3d_slam.errors import InputError
+from sl3d_slam.mapping.georeference import georeference_of, georeference_tree
 from sl3d_slam.mapping.line_map import LineMap, MapOrigin
 from sl3d_slam.mapping.tensors import CLOUD_CODING, CODING, Tensors, map_of, map_tensors
 
@@ -44,6 +45,8 @@ def to_bytes(line_map: LineMap) -> bytes:
         "simulated": line_map.origin.simulated,
         "config": line_map.origin.config,
     }
+    if line_map.origin.georeference is not None:
+        header["georeference"] = georeference_tree(line_map.origin.georeference)
     header["checksum"] = checksum(header, tensors)
     return save(tensors, {KEY: json.dumps(header, sort_keys=True)})
 
@@ -120,7 +123,7 @@ def _facts(header: dict[str, Any]) -> tuple[float | None, MapOrigin]:
     model, config = header.get("model"), header.get("config")
     if not (isinstance(model, str) and isinstance(config, str) and isinstance(simulated, bool)):
         raise ValueError("expected model and config as text, and simulated as true or false")
-    origin = MapOrigin(model, config, simulated)
+    origin = MapOrigin(model, config, simulated, georeference_of(header.get("georeference")))
     if voxel_m is None:
         return None, origin
     if not (isinstance(voxel_m, float | int) and 1e-3 <= voxel_m <= 1e3):

@@ -11,6 +11,7 @@ from jaxtyping import Float32, Float64, Int64
 from sl3d_slam.config import MapSettings
 from sl3d_slam.errors import OutputError
 from sl3d_slam.files import write_whole
+from sl3d_slam.geometry.geodesy import GeoReference
 from sl3d_slam.geometry.se3 import Transform
 from sl3d_slam.mapping.build import (
     by_keyframe,
@@ -35,11 +36,13 @@ class MapOrigin:
     model : name and hash of the line extractor; descriptors of another model do not compare.
     config : the settings of the run, as YAML.
     simulated : whether the scans were ray-cast, not recorded.
+    georeference : where on the Earth the map lies, where GPS told.
     """
 
     model: str = "geometric"
     config: str = ""
     simulated: bool = False
+    georeference: GeoReference | None = None
 
 
 @dataclass(frozen=True, eq=False)
