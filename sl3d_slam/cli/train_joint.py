@@ -1,5 +1,6 @@
 """``sl3d train joint``: segmentation and descriptors of lines, learned together from drives."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -53,7 +54,7 @@ def joint(
 
     Simulated drives bring their own labels; a real one takes those of --labels, or else lines that
     several of its scans confirm. Poses of real drives are this package's odometry. Start it with
-    torchrun to train in several processes.
+    `torchrun --no-python sl3d train joint ...` to train in several processes.
     """
     import torch
     from pydantic import ValidationError
@@ -65,6 +66,7 @@ def joint(
     from sl3d_slam.lines.network.settings import NetworkSettings
 
     torch.set_num_threads(threads)
+    quiet = quiet or os.environ.get("RANK", "0") != "0"  # of the processes of torchrun one speaks
     try:
         settings = JointSettings(
             steps=steps,

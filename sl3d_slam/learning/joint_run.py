@@ -8,6 +8,7 @@ from pathlib import Path
 
 import torch
 
+from sl3d_slam.errors import InputError
 from sl3d_slam.files import write_whole
 from sl3d_slam.learning.joint import JointTraining, Progress
 from sl3d_slam.learning.joint_settings import JointSettings
@@ -83,7 +84,7 @@ def train_joint(
         if plan.resume:
             training.resume()
             progress("resumed", training.step)
-        looks: list[Look] = []
+        looks = read_looks(plan.out / VALIDATION, training.step) if plan.resume else []
 
         def look(step: int) -> None:
             looks.extend(look_at_drive(model, drive, step) for drive in held_out)
@@ -163,3 +164,23 @@ def write_looks(path: Path, looks: Sequence[Look]) -> None:
             [f"{value:.4f}" if isinstance(value, float) else value for value in astuple(look)]
         )
     write_whole(path, text.getvalue())
+
+
+def read_looks(path: Path, last_step: int) -> list[Look]:
+    """Return the rows of an earlier part of a run, none where there are none. Raises InputError."""
+    if not path.is_file():
+        return []
+    try:
+        rows = csv.DictReader(path.read_text(encoding="utf-8").splitlines())
+        looks = [
+            Look(
+                **{
+                    name: {"step": int, "drive": str}.get(name, float)(value)
+                    for name, value in row.items()
+                }
+            )
+            for row in rows
+        ]
+    except (OSError, ValueError, TypeError):
+        raise InputError(f"{path}: expected the validation of a training run") from None
+    return [look for look in looks if look.step <= last_step]

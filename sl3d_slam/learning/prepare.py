@@ -52,7 +52,8 @@ class DriveSource:
 def find_sources(data: Sequence[Path], labels: Sequence[Path]) -> list[DriveSource]:
     """Return every drive below the given paths, each with its labels where a folder has them.
 
-    ``labels`` are folders that hold ``NAME/labels``, ``labels`` or the files themselves.
+    Labels beside the scans come first. ``labels`` are folders that hold ``NAME/labels`` of a drive
+    (or its last round, ``NAME/round3/labels``); where a single drive is meant NAME may be left out.
     """
     found = []
     for path in data:
@@ -62,12 +63,11 @@ def find_sources(data: Sequence[Path], labels: Sequence[Path]) -> list[DriveSour
 
 
 def _labels_of(folder: Path, labels: Sequence[Path]) -> Path | None:
-    places = [
-        place
-        for base in labels
-        for place in (base / folder.name / "labels", base / folder.name, base / "labels", base)
-    ]
-    return next((p for p in [*places, folder / "labels"] if any(p.glob("[0-9]*.npz"))), None)
+    named = [base / folder.name for base in labels]
+    places = [folder / "labels"]
+    for base in [*named, *labels]:
+        places += [base / "labels", *sorted(base.glob("round*/labels"), reverse=True), base]
+    return next((place for place in places if any(place.glob("[0-9]*.npz"))), None)
 
 
 def prepare_drive(
@@ -97,7 +97,10 @@ def prepare_drive(
     if source.labels is None:
         scans = _scans_by_landmarks(dataset, T_world_lidar, network, progress)
     else:
-        scans = _scans_by_files(dataset, source, T_world_lidar, network, progress)
+        labelled = [k for k in range(len(dataset)) if _label_file(source.labels, k).is_file()]
+        T_world_lidar = T_world_lidar[labelled]
+        plan = _LabelledScans(source, tuple(labelled), T_world_lidar)
+        scans = _scans_by_files(dataset, plan, network, progress)
     drive = PreparedDrive(dataset.name, dataset.simulated, T_world_lidar, tuple(scans))
     cache.mkdir(parents=True, exist_ok=True)
     save_drive(cache / name, drive, key)
@@ -107,8 +110,9 @@ def prepare_drive(
 def _key(source: DriveSource, network: NetworkSettings) -> str:
     fields = network.model_dump(include={"voxel_size_m", "max_points", "drop_ground"})
     labels = None if source.labels is None else str(source.labels.resolve())
-    newest = 0 if source.labels is None else int(source.labels.stat().st_mtime)
-    return json.dumps([FORMAT, str(source.folder.resolve()), labels, newest, fields])
+    files = [] if source.labels is None else sorted(source.labels.glob("*.npz"))
+    newest = max((file.stat().st_mtime_ns for file in files), default=0)
+    return json.dumps([FORMAT, str(source.folder.resolve()), labels, len(files), newest, fields])
 
 
 def _poses(dataset: Dataset) -> Float64[np.ndarray, "N 4 4"]:
@@ -139,30 +143,38 @@ def _labelled(
     return PreparedScan(points, ids, endpoints.astype(np.float32), kinds)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _LabelledScans:
+    """The scans of a drive that have labels, and their poses."""
+
+    source: DriveSource
+    indices: tuple[int, ...]
+    T_world_lidar: Float64[np.ndarray, "N 4 4"]
+
+
+def _label_file(folder: Path, index: int) -> Path:
+    return folder / f"{index:06d}.npz"
+
+
 def _scans_by_files(
-    dataset: Dataset,
-    source: DriveSource,
-    T_world_lidar: np.ndarray,
-    network: NetworkSettings,
-    progress: Progress,
+    dataset: Dataset, plan: _LabelledScans, network: NetworkSettings, progress: Progress
 ) -> Iterator[PreparedScan]:
-    files = dataset.read_scans
-    if not isinstance(files, ScanFiles) or source.labels is None:
-        raise InputError(f"{source.folder}: labels go with scan files, not with a bag")
-    town = _read_town(source.folder / "lines.npz") if dataset.simulated else None
-    for index, path in enumerate(files.files):
-        label_file = source.labels / f"{index:06d}.npz"
+    files, folder, labels = dataset.read_scans, plan.source.folder, plan.source.labels
+    if not isinstance(files, ScanFiles) or labels is None:
+        raise InputError(f"{folder}: labels go with scan files, not with a bag")
+    town = _read_town(folder / "lines.npz") if dataset.simulated else None
+    for index, T_world_lidar in zip(plan.indices, plan.T_world_lidar, strict=True):
+        path = files.files[index]
         cloud = corrected(read_cloud(path), files.elevation_offset_deg)
         keep = usable(cloud.points, files.settings, str(path))
-        line_ids, endpoints = _read_labels(label_file, len(keep))
+        line_ids, endpoints = _read_labels(_label_file(labels, index), len(keep))
         raw = cloud.points[keep]
         points = network_points(raw, network)
         ids = network_labels(points[:, :3], raw, line_ids[keep])
         if town is None:
-            kinds = np.zeros(len(endpoints), np.uint8)
-            yield _kept_lines(points, ids, endpoints, kinds)
+            yield _kept_lines(points, ids, endpoints, np.zeros(len(endpoints), np.uint8))
         else:
-            yield _town_scan(points, ids, town, T_world_lidar[index])
+            yield _town_scan(points, ids, town, T_world_lidar)
         progress(dataset.name)
 
 

@@ -11,6 +11,7 @@ from sl3d_slam.geometry.se3 import from_yaw, invert, make_transform, transform_p
 from sl3d_slam.geometry.segments import transform_segments
 from sl3d_slam.learning.augment import augment
 from sl3d_slam.learning.joint import COLUMNS, JointTraining, read_curves
+from sl3d_slam.learning.joint_run import look_at_drive, read_looks, write_looks
 from sl3d_slam.learning.joint_settings import AugmentSettings, JointSettings
 from sl3d_slam.learning.joint_validation import detect, rank
 from sl3d_slam.learning.pair_source import PairSource
@@ -225,3 +226,16 @@ def test_prepared_drives_come_back_whole_and_damage_is_named(drive, tmp_path):
     file.write_bytes(file.read_bytes()[:-100])
     with pytest.raises(InputError, match=r"poles\.safetensors: damaged"):
         load_drive(file, "made of poles")
+
+
+def test_looks_of_an_earlier_part_of_a_run_are_kept(drive, tmp_path):
+    model = new_model()
+    looks = [look_at_drive(model, drive, step) for step in (100, 200)]
+    write_looks(tmp_path / "validation.csv", looks)
+    kept = read_looks(tmp_path / "validation.csv", last_step=150)
+    assert [(look.step, look.drive) for look in kept] == [(100, "poles")]
+    assert kept[0].best_f1 == pytest.approx(looks[0].best_f1, abs=1e-4)
+    assert read_looks(tmp_path / "none.csv", 10) == []
+    (tmp_path / "validation.csv").write_text("step,drive\nx,y\n")
+    with pytest.raises(InputError, match=r"validation\.csv: expected"):
+        read_looks(tmp_path / "validation.csv", 10)

@@ -98,6 +98,8 @@ def test_labels_from_files(town, tmp_path, rng):
     np.testing.assert_allclose(members, np.tile([4.0, -3.0], (len(members), 1)), atol=1e-3)
     assert 10 <= len(members) <= 16  # 3.4 m in voxels of 0.25 m, less what lies at the ground
     assert (scan.line_ids == BACKGROUND).sum() > 100
+    (folder / "labels" / "000000.npz").unlink()
+    assert len(prepare_drive(source, tmp_path / "one", NETWORK).scans) == 1  # the labelled one
     np.savez(folder / "labels" / "000001.npz", line_id=ids[:-5], endpoints=ends)
     with pytest.raises(InputError, match=r"000001\.npz: 10295 labels for a scan of 10300 points"):
         prepare_drive(source, tmp_path / "anew", NETWORK)
@@ -108,11 +110,17 @@ def test_labels_from_files(town, tmp_path, rng):
 
 def test_labels_are_found_beside_scans_and_below_label_folders(town, tmp_path):
     _, folder = town
+    drive = tmp_path / "01"
+    for place in ("velodyne", "../made/01/round1/labels", "../made/01/round2/labels"):
+        (drive / place).mkdir(parents=True)
     assert find_sources([folder.parent.parent], [])[0].labels == folder / "labels"
-    mine = tmp_path / folder.name / "labels"
-    mine.mkdir(parents=True)
-    np.savez(mine / "000000.npz", line_id=np.zeros(1, np.int32))
-    assert find_sources([folder], [tmp_path])[0].labels == mine
+    assert find_sources([drive], [tmp_path / "made"])[0].labels is None
+    for number in (1, 2):
+        labels = tmp_path / "made" / "01" / f"round{number}" / "labels"
+        np.savez(labels / "000000.npz", line_id=np.zeros(1, np.int32))
+    for given in ("made", "made/01", "made/01/round2", "made/01/round2/labels"):
+        assert find_sources([drive], [tmp_path / given])[0].labels == labels
+    assert find_sources([folder], [tmp_path / "made"])[0].labels == folder / "labels"
 
 
 def test_network_labels_prefer_the_line(rng):
