@@ -4,23 +4,36 @@ Standing lines propose every pose, a bird's-eye field of the coarse clouds judge
 thousand, GICP refines the few that are left, and what each scan saw through decides.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from sl3d_slam.config import MatchingSettings
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import Points
 from sl3d_slam.matching import field
-from sl3d_slam.matching.consistency import PlanarPoses, enumerate_poses, thin_poses
+from sl3d_slam.matching.consistency import (
+    PlanarPoses,
+    enumerate_poses,
+    match_verticals,
+    thin_poses,
+)
 from sl3d_slam.matching.judge import (
     Evidence,
-    gather_evidence,
     matched_lines,
     objection,
     refusal,
     to_registration,
+    weigh,
 )
 from sl3d_slam.matching.prepared import PreparedView, lift
-from sl3d_slam.matching.solve import line_distances_m, refine_on_lines
+from sl3d_slam.matching.refine import align_near, fit_planar
+from sl3d_slam.matching.solve import (
+    fill_free,
+    line_distances_m,
+    line_information,
+    refine_on_lines,
+)
 from sl3d_slam.matching.verticals import up_of_lines
 from sl3d_slam.matching.views import make_view, view_of_lines
 from sl3d_slam.types import LineSet, Registration
@@ -29,7 +42,7 @@ DISTINCT_M = 2.0
 DISTINCT_RAD = np.radians(8.0)
 NUM_REFINED = 3
 LINE_VOTE = 0.05  # what one agreeing line adds to the mean field value
-CLEAR_MARGIN = 0.85  # the second place may have at most this share of the best one's lines
+MIN_LINES_LOG_ODDS = 1.0  # where lines decide alone
 
 
 def register_lines(
@@ -81,12 +94,15 @@ def register_views(
     source: PreparedView, target: PreparedView, settings: MatchingSettings
 ) -> Registration:
     """Find ``T_target_source`` of two views with clouds."""
-    poses = planar_seeds(source, target, settings)
+    poses, scores = planar_seeds(source, target, settings)
     if len(poses) == 0:
         return refusal("no two standing lines of one scan fit two of the other")
+    chosen = distinct(poses, NUM_REFINED)
     best: Evidence | None = None
-    for pose in poses[distinct(poses, NUM_REFINED)]:
-        evidence = gather_evidence(source, target, lift(source, target, pose), settings)
+    for k in chosen:
+        rivals = [scores[j] for j in chosen if j != k]
+        lead = float(scores[k] - max(rivals)) if rivals else float(scores[k])
+        evidence = _evidence(source, target, poses[k], lead, settings)
         if evidence is None:
             return refusal("a cloud has too few points to verify a pose with")
         if not objection(evidence, settings):
@@ -97,13 +113,37 @@ def register_views(
     return to_registration(best, objection(best, settings))
 
 
+def _evidence(
+    source: PreparedView,
+    target: PreparedView,
+    pose: np.ndarray,
+    lead: float,
+    settings: MatchingSettings,
+) -> Evidence | None:
+    """Refine a planar pose by all its lines, then by the clouds, and weigh it."""
+    if source.dense is None or target.dense is None:
+        return None
+    on_lines = fit_planar(source.verticals, target.verticals, pose, settings.inlier_distance_m)
+    T_guess = lift(source, target, on_lines)
+    aligned = align_near(target.dense, source.dense, T_guess)
+    evidence = weigh(source, target, T_guess, aligned, settings)
+    lines = source.view.lines, target.view.lines
+    T = evidence.T_target_source
+    by_lines = line_information(*lines, evidence.matches, T)
+    return replace(evidence, lead=lead, information=fill_free(evidence.information, by_lines))
+
+
 def planar_seeds(
     source: PreparedView, target: PreparedView, settings: MatchingSettings
-) -> PlanarPoses:
-    """Return planar poses (yaw, x, y) of levelled frames, best first by fields and lines."""
+) -> tuple[PlanarPoses, np.ndarray]:
+    """Return planar poses (yaw, x, y) of levelled frames and their scores, best first.
+
+    The score is how well the fields agree plus a little for every line.
+    """
     poses, line_scores = _line_poses(source, target, settings)
     scores = field_agreement(source, target, poses) + LINE_VOTE * line_scores
-    return poses[np.argsort(-scores, kind="stable")]
+    order = np.argsort(-scores, kind="stable")
+    return poses[order], scores[order]
 
 
 def _line_poses(
@@ -146,17 +186,21 @@ def _register_lines_alone(
     chosen = distinct(poses, 2)
     if len(chosen) == 0:
         return refusal("no two standing lines of one scan fit two of the other")
-    T_guess = lift(source, target, poses[chosen[0]])
+    seed, reach_m = poses[chosen[0]], settings.inlier_distance_m
+    agreeing = len(match_verticals(source.verticals, target.verticals, seed, reach_m))
+    rival_share = float(scores[chosen[1]] / scores[chosen[0]]) if len(chosen) > 1 else 0.0
+    on_lines = fit_planar(source.verticals, target.verticals, seed, reach_m)
+    T_guess = lift(source, target, on_lines)
     lines = source.view.lines, target.view.lines
-    matches = matched_lines(source, target, T_guess, settings.inlier_distance_m)
+    matches = matched_lines(source, target, T_guess, reach_m)
     T, information = refine_on_lines(*lines, matches, T_guess)
-    matches = matched_lines(source, target, T, settings.inlier_distance_m)
-    matches = matches[line_distances_m(*lines, matches, T) < settings.inlier_distance_m]
+    matches = matched_lines(source, target, T, reach_m)
+    matches = matches[line_distances_m(*lines, matches, T) < reach_m]
     reason = ""
     if len(matches) < settings.min_inliers:
         reason = f"only {len(matches)} lines agree, {settings.min_inliers} are needed"
-    elif len(chosen) > 1 and scores[chosen[1]] > CLEAR_MARGIN * scores[chosen[0]]:
-        reason = "another place fits the lines about as well"
+    elif lines_log_odds(agreeing, rival_share) < MIN_LINES_LOG_ODDS:
+        reason = f"{agreeing} lines agree, but another place fits {rival_share:.0%} as well"
     return Registration(
         success=not reason,
         T_target_source=None if reason else T,
@@ -165,6 +209,17 @@ def _register_lines_alone(
         information=np.zeros((6, 6)) if reason else information,
         reason=reason,
     )
+
+
+def lines_log_odds(agreeing: int, rival_share: float) -> float:
+    """Return the log odds that the pose which lines alone like best is right.
+
+    ``agreeing`` counts the lines it lays on each other, ``rival_share`` is the next place's share
+    of its score. Logistic regression over single scans of drives 01 and 02 and two simulated towns,
+    10 to 40 m apart or of different places; above 1 lie 95 % of the right ones and none of 103
+    wrong.
+    """
+    return float(-12.2 + 9.5 * (1.0 - rival_share) + 5.0 * np.log1p(agreeing))
 
 
 def _checked_cloud(cloud: np.ndarray, name: str) -> Points:

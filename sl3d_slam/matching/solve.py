@@ -16,6 +16,8 @@ ROBUST_M = 0.2
 LINE_SIGMA_M = 0.1
 ITERATIONS = 12
 FREE_SHARE = 1e-3
+FILL_UNITS = np.repeat([0.05, 1.0], 3)  # a turn and a shift that move things 20 m away alike
+FILL_SHARE = 1e-9
 
 
 def refine_on_lines(
@@ -35,9 +37,7 @@ def refine_on_lines(
     The refined pose and its information (rotation first, at the source frame), in which a free
     direction is exactly zero.
     """
-    points = source.endpoints[matches[:, 0]].reshape(-1, 3)
-    origins = np.repeat(midpoints(target.endpoints)[matches[:, 1]], 2, axis=0)
-    axes = np.repeat(directions(target.endpoints)[matches[:, 1]], 2, axis=0)
+    points, origins, axes = _end_points_and_lines(source, target, matches)
     T, H = T_target_source, np.zeros((6, 6))
     units = _comparable_units(points)
     for _ in range(ITERATIONS):
@@ -48,6 +48,28 @@ def refine_on_lines(
             break
     T[:3, :3] = nearest_rotation(T[:3, :3])
     return T, _drop_free_directions(H, units) / LINE_SIGMA_M**2
+
+
+def line_information(
+    source: LineSet,
+    target: LineSet,
+    matches: Int64[np.ndarray, "M 2"],
+    T_target_source: Transform,
+) -> Float64[np.ndarray, "6 6"]:
+    """Return what matched lines say of a pose (rotation first, source frame); zero where free."""
+    points, origins, axes = _end_points_and_lines(source, target, matches)
+    H, _ = _normal_equations(T_target_source, points, origins, axes)
+    return _drop_free_directions(H, _comparable_units(points)) / LINE_SIGMA_M**2
+
+
+def fill_free(
+    information: Float64[np.ndarray, "6 6"], other: Float64[np.ndarray, "6 6"]
+) -> Float64[np.ndarray, "6 6"]:
+    """Take from ``other`` what it says of the directions of which ``information`` says nothing."""
+    values, vectors = np.linalg.eigh(information * np.outer(FILL_UNITS, FILL_UNITS))
+    free = vectors[:, values <= FILL_SHARE * max(float(values[-1]), 1e-12)]
+    across = free @ free.T / FILL_UNITS * FILL_UNITS[:, None]
+    return information + across.T @ other @ across
 
 
 def line_distances_m(
@@ -61,6 +83,16 @@ def line_distances_m(
     offset = moved - midpoints(target.endpoints)[matches[:, 1], None]
     axes = directions(target.endpoints)[matches[:, 1], None]
     return np.linalg.norm(np.cross(offset, axes), axis=2).mean(axis=1)
+
+
+def _end_points_and_lines(
+    source: LineSet, target: LineSet, matches: Int64[np.ndarray, "M 2"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the source's end points (2 M, 3) with a point and the axis of each one's line."""
+    points = source.endpoints[matches[:, 0]].reshape(-1, 3)
+    origins = np.repeat(midpoints(target.endpoints)[matches[:, 1]], 2, axis=0)
+    axes = np.repeat(directions(target.endpoints)[matches[:, 1]], 2, axis=0)
+    return points, origins, axes
 
 
 def _normal_equations(
