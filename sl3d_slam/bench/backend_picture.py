@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 COLOURS = {
     "oracle": BLACK,
     "ours": VERMILION,
+    "ours, live": ORANGE,
     "LM": GREY,
     "Huber": SKY,
     "Cauchy": BLUE,

@@ -9,6 +9,7 @@ from jaxtyping import Float64
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
+from sl3d_slam.config import GraphSettings
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import (
     Transform,
@@ -22,6 +23,8 @@ from sl3d_slam.types import LoopConstraint
 
 Poses = Float64[np.ndarray, "N 4 4"]
 
+# what drifting_odometry does to a step; that it also wanders is for the back end to find out
+SETTINGS = GraphSettings(odometry_rotation_sigma_deg=0.04, odometry_translation_sigma_m=0.02)
 LOOP_SIGMAS = np.repeat([np.radians(0.2), 0.05], 3)  # rotation first; the noise that loops have
 MIN_GAP = 100  # scans between the ends of a loop
 LOOP_RADIUS_M = 8.0

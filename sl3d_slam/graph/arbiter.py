@@ -1,5 +1,6 @@
 """Which loops to believe: odometry check, pairwise consistency, GNC; verdicts may change."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -70,13 +71,8 @@ class LoopArbiter:
         is not rigid.
         """
         index = len(self.verdicts)
-        name = f"the loop from keyframe {loop.query_id} to {loop.target_id}"
-        loop = replace(loop, T_target_query=rigid_transform(loop.T_target_query, name))
-        unusable = self._unusable(loop)
-        if unusable:
-            self.verdicts.append(Verdict(index, loop, "rejected", unusable))
+        if not self._take(loop):
             return [self.verdicts[-1]]
-        self._enter(index, loop)
         quick = self._quick_answer()
         if quick is None:
             changed = self.settle()
@@ -85,6 +81,17 @@ class LoopArbiter:
         newest = len(self._contest) - 1
         self._accepted[newest] = quick
         return [self._judge(newest)]
+
+    def offer_all(self, loops: Sequence[LoopConstraint]) -> list[Verdict]:
+        """Judge many loops together, as at the end of a drive; return a verdict for each.
+
+        Raises GraphError as :meth:`offer` does.
+        """
+        first = len(self.verdicts)
+        for loop in loops:
+            self._take(loop)
+        self.settle()
+        return self.verdicts[first:]
 
     def settle(self) -> list[Verdict]:
         """Decide about all loops from scratch; return the verdicts whose status changes.
@@ -121,6 +128,17 @@ class LoopArbiter:
             return verdicts.contradicts_odometry(check, self._gate)
         self._checks.append(check)
         return ""
+
+    def _take(self, loop: LoopConstraint) -> bool:
+        """Let a loop into the contest, or write down why it cannot be; tell which."""
+        name = f"the loop from keyframe {loop.query_id} to {loop.target_id}"
+        loop = replace(loop, T_target_query=rigid_transform(loop.T_target_query, name))
+        unusable = self._unusable(loop)
+        if unusable:
+            self.verdicts.append(Verdict(len(self.verdicts), loop, "rejected", unusable))
+            return False
+        self._enter(len(self.verdicts), loop)
+        return True
 
     def _enter(self, index: int, loop: LoopConstraint) -> None:
         self.verdicts.append(Verdict(index, loop, "rejected", "not judged yet"))

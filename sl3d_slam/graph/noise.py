@@ -16,7 +16,6 @@ from sl3d_slam.geometry.se3 import (
     exp,
     invert,
     log,
-    rotation_angle_rad,
 )
 
 Matrix6 = Float64[np.ndarray, "6 6"]
@@ -70,13 +69,22 @@ def step_covariance(T_last_lidar: Transform, settings: GraphSettings) -> Matrix6
     """Return the covariance of one odometry step between successive scans, at the newer scan."""
     rotation_rad = np.hypot(
         np.radians(settings.odometry_rotation_sigma_deg),
-        settings.odometry_rotation_fraction * rotation_angle_rad(T_last_lidar),
+        settings.odometry_rotation_fraction * _angle_rad(T_last_lidar),
     )
     translation_m = np.hypot(
         settings.odometry_translation_sigma_m,
         settings.odometry_translation_fraction * distance_m(T_last_lidar),
     )
     return np.diag(np.repeat([rotation_rad**2, translation_m**2], 3))
+
+
+def _angle_rad(T_a_b: Transform) -> float:
+    """Return the angle of a rotation without the detour of a general parser: one a scan."""
+    R = T_a_b[:3, :3]
+    twice_sine = np.sqrt(
+        (R[2, 1] - R[1, 2]) ** 2 + (R[0, 2] - R[2, 0]) ** 2 + (R[1, 0] - R[0, 1]) ** 2
+    )
+    return float(np.arctan2(twice_sine, R[0, 0] + R[1, 1] + R[2, 2] - 1.0))
 
 
 def chain_covariance(T_first_last: Transform, num_scans: int, settings: GraphSettings) -> Matrix6:
