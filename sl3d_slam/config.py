@@ -143,7 +143,7 @@ class MapSettings(Settings):
 class RelocalizationSettings(Settings):
     """What a place of a saved map must show; it differs from a scan: it has seen more sides."""
 
-    min_log_odds: float = -2.0
+    min_log_odds: float = -3.0
     min_inliers: int = Field(default=5, ge=2)
 
 

@@ -20,7 +20,9 @@ NUM_REFINED = 3
 SAME_POSE_M = 2.0
 SAME_POSE_RAD = np.radians(8.0)
 MIN_LEAD = 2.0  # in log odds, over any other place of the map
-MAP_BIAS = -2.5  # log odds in a map at which right and wrong are equally likely
+MAP_BIAS = -3.2  # log odds in a map at which right and wrong are equally likely
+# of both fields' mean values: 44 right guesses reached 1.14 and more, 76 wrong ones 0.63 at most
+MIN_FIELD = 0.6
 RIVAL_SHARE = 0.7  # of the best guess's score, above which another is refined in any case
 LINE_VOTE = 0.05  # what one agreeing line adds to the mean field value
 CACHE_SIZE = 64
@@ -79,8 +81,10 @@ class MapFinder:
         for guess in guesses:
             place = self._place(guess.keyframe)
             pose = flatten(query, place, guess.T_place_lidar)
-            score = float(field_agreement(query, place, pose[None])[0]) + LINE_VOTE * guess.score
-            lifted.append((score, guess.keyframe, lift(query, place, pose)))
+            agreement = float(field_agreement(query, place, pose[None])[0])
+            if agreement > MIN_FIELD:
+                score = agreement + LINE_VOTE * guess.score
+                lifted.append((score, guess.keyframe, lift(query, place, pose)))
         lifted.sort(key=lambda one: -one[0])
         found: list[_Found] = []
         for score, keyframe, T_place_lidar in lifted[:NUM_REFINED]:
@@ -99,7 +103,7 @@ class MapFinder:
 
     def _decide(self, found: list[_Found]) -> MapAnswer:
         if not found:
-            return _no("the scan has too few points to verify a place with")
+            return _no("seen from above, nothing stands as in the map where lines would place it")
         best = found[0]
         reason = objection(best.evidence, self._judging)
         if reason:
@@ -132,8 +136,9 @@ class MapFinder:
 def confidence(log_odds: float, lead: float) -> float:
     """Return how far an answer may be trusted, in [0, 1]: its odds, and its lead over the next.
 
-    Against the map of a simulated drive the right places of 46 scans of two days had log odds
-    above -0.5, the wrong ones below -4.5.
+    Against the map of a simulated town, right places of 44 scans of another day had log odds from
+    -2.5 up; of 303 wrong ones, for scans of other towns and of real streets, one had -3.9, the
+    others -5.7 and less.
     """
     right = 1.0 / (1.0 + np.exp(MAP_BIAS - log_odds))
     alone = 1.0 / (1.0 + np.exp(-lead))

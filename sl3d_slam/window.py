@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import Points, invert, transform_points
-from sl3d_slam.lines.extract import LineExtractor
+from sl3d_slam.lines.extract import LineExtractor, checked_points
 from sl3d_slam.mapping.build import group_observations, observations_of
 from sl3d_slam.mapping.landmarks import mean_lines
 from sl3d_slam.matching.views import make_view
@@ -32,7 +32,7 @@ def join_scans(scans: Sequence[np.ndarray], extractor: LineExtractor, config: Sl
     """
     if not scans:
         raise InputError("a window of scans needs at least one scan")
-    clouds = [np.ascontiguousarray(scan, np.float64) for scan in scans]
+    clouds = [checked_points(scan) for scan in scans]
     if len(clouds) == 1:
         lines = extractor.extract(clouds[0])
         return make_view(clouds[0], lines, config.matching.cloud_voxel_m)

@@ -57,7 +57,7 @@ def show(scene: Scene, street: Street | None, out: Path | None) -> None:
         raise MissingExtraError(
             "the viewer needs rerun; install it with: pip install 'sl3d-slam[view]'"
         ) from None
-    recording = rerun.RecordingStream("sl3d (simulated)" if scene.simulated else "sl3d")
+    recording = rerun.RecordingStream("sl3d_simulated" if scene.simulated else "sl3d")
     if out is None:
         recording.spawn()
     elif not out.parent.is_dir():
