@@ -40,7 +40,9 @@ STAGE_COLUMNS = (
 )
 NOTES = (
     "Each method has a process of its own; reading is left out; extractors do two scans before the "
-    "clock starts. Processor ms: of all threads together, which other load does not change much.",
+    "clock starts. Processor ms: of all threads together, which other load changes less than wall "
+    "ms. Threads that wait for each other on a loaded machine count, though: with "
+    "NUMBA_NUM_THREADS=1 they do not.",
     "x KISS-ICP: processor time of a scan over that of KISS-ICP on the same scans in this run.",
     "Peak: everything that the process holds, Python and its libraries with it.",
 )

@@ -72,14 +72,20 @@ class TrueTown:
 
 
 def open_truth(drive: Drive) -> TrueTown | None:
-    """Return the true lines of a drive, or None where it has none."""
-    root, sequence = Path(drive.data), drive.sequence or ""
-    places = (root / "sequences" / sequence, root / sequence, root)
-    folder = next((place for place in places if (place / "lines.npz").is_file()), None)
-    if folder is None or drive.turned_back:
+    """Return the true lines of a drive, or None where it has none. Raises InputError."""
+    root, name = Path(drive.data), drive.sequence
+    named = [] if name is None else [root / "sequences" / name, root / name]
+    places = named or [root, *root.glob("sequences/*")]
+    known = [place for place in places if (place / "lines.npz").is_file()]
+    if not known or drive.turned_back:
         return None
+    folder = known[0]
     endpoints = _arrays(folder / "lines.npz", ("endpoints",))["endpoints"].astype(np.float64)
-    rows = np.loadtxt(folder / "T_world_lidar.txt", ndmin=2).reshape(-1, 3, 4)
+    path = folder / "T_world_lidar.txt"
+    try:
+        rows = np.loadtxt(path, ndmin=2).reshape(-1, 3, 4)
+    except (OSError, ValueError):
+        raise InputError(f"{path}: expected the true poses, 12 numbers a row") from None
     return TrueTown(folder, endpoints, np.array([_transform(row) for row in rows]))
 
 

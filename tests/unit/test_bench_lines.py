@@ -7,6 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from sl3d_slam.bench.drives import Drive
 from sl3d_slam.bench.extract import compared
 from sl3d_slam.bench.extract_stages import STAGES, Stopwatch
 from sl3d_slam.bench.lines import run
@@ -15,7 +16,13 @@ from sl3d_slam.bench.lines_figures import PairCounts, pair_figures, scan_figures
 from sl3d_slam.bench.lines_plan import LineMethod, LinesBench, make_methods
 from sl3d_slam.bench.lines_scans import SeenScan, best, count_pair
 from sl3d_slam.bench.lines_sight import is_seen, sight_of
-from sl3d_slam.bench.lines_truth import TrueScan, count_scan, false_ones_on, visible_lines
+from sl3d_slam.bench.lines_truth import (
+    TrueScan,
+    count_scan,
+    false_ones_on,
+    open_truth,
+    visible_lines,
+)
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import from_yaw, invert
 from sl3d_slam.simulation.primitives import Semantic
@@ -249,6 +256,50 @@ def test_precision_and_recall_against_true_lines():
     row = scan_figures([counts])
     assert row["precision_percent"] == 50.0
     assert row["recall_percent"] == pytest.approx(100 / 3)
+
+
+@pytest.fixture
+def town_folder(tmp_path):
+    """Two sequences in one root: 07 with one true line and one scan on it, 01 without truth."""
+    folder = tmp_path / "sequences" / "07"
+    (folder / "labels").mkdir(parents=True)
+    (folder / "velodyne").mkdir()
+    (tmp_path / "sequences" / "01").mkdir()
+    T_world_lidar = from_yaw(0.5, np.array([100.0, 50.0, 2.0]))
+    np.savetxt(folder / "T_world_lidar.txt", T_world_lidar[None, :3].reshape(1, 12))
+    line = line_set([upright(10.0, 0.0, -1.5, 1.5)])
+    np.savez(folder / "lines.npz", endpoints=line.transformed(T_world_lidar).endpoints)
+    points = np.array([[10.0, 0.0, z] for z in np.linspace(-1.0, 1.0, 9)] + [[3.0, 3.0, 0.0]])
+    np.c_[points, np.zeros(10)].astype("<f4").tofile(folder / "velodyne" / "000000.bin")
+    on = np.array([Semantic.POLE] * 9 + [Semantic.CAR], np.uint8)
+    np.savez(
+        folder / "labels" / "000000.npz", semantic=on, line_id=np.array([0] * 9 + [-1], np.int32)
+    )
+    return tmp_path
+
+
+def test_true_lines_of_a_town_come_in_the_frame_of_the_scan(town_folder):
+    for drive in (Drive(str(town_folder), "07"), Drive(str(town_folder / "sequences" / "07"))):
+        town = open_truth(drive)
+        assert town is not None
+        scan = town.at(0)
+        np.testing.assert_allclose(
+            scan.endpoints, [upright(10.0, 0.0, -1.5, 1.5)], rtol=0, atol=1e-9
+        )
+        assert scan.visible.tolist() == [True]
+    assert open_truth(Drive(str(town_folder), "01")) is None
+
+
+def test_labels_that_do_not_fit_are_refused_by_name(town_folder):
+    path = town_folder / "sequences" / "07" / "labels" / "000000.npz"
+    np.savez(path, semantic=np.zeros(4, np.uint8), line_id=np.zeros(4, np.int32))
+    town = open_truth(Drive(str(town_folder), "07"))
+    assert town is not None
+    with pytest.raises(InputError, match=r"000000\.npz: its labels do not fit"):
+        town.at(0)
+    path.write_bytes(b"nothing")
+    with pytest.raises(InputError, match=r"000000\.npz: expected"):
+        town.at(0)
 
 
 def test_weights_files_are_rows_of_their_own():
