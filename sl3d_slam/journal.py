@@ -9,6 +9,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -26,12 +27,33 @@ Outcome = LoopConstraint | Rejection
 
 
 class Journal:
-    """The notes of one run; ``records`` also hold the views of its keyframes."""
+    """The notes of one run; ``records`` also hold the views of its keyframes.
+
+    As a context it goes when the run is finished, or when it was stopped by an InputError and had
+    not been resumed; it stays after a full disk, Ctrl-C, a kill.
+    """
 
     def __init__(self, records: RecordFile | None = None, folder: Path | None = None) -> None:
         """Keep notes in a file, or in a temporary one that ends with the run."""
         self.records = RecordFile.temporary() if records is None else records
         self._folder = folder
+        self._resumed = _scan_name(0) in self.records
+
+    def __enter__(self) -> "Journal":
+        """Begin."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Remove what nobody can resume; close what somebody may."""
+        if error is None or (isinstance(error, InputError) and not self._resumed):
+            self.remove()
+        else:
+            self.close()
 
     def pose(self, scan_index: int) -> Transform | None:
         """Return the noted ``T_odom_lidar`` of a scan, to the bit, or None."""

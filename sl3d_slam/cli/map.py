@@ -66,10 +66,9 @@ def map_(
     measurements = read_world(gps, attitude, settings.world)
     opened = open_dataset(data, settings.input, dataset, sequence, topic)
     prepare_run_folder(out)
-    journal = open_journal(out, _identity(opened, settings), resume)
-    slam = Mapping(settings, scans, quiet, workers, journal, measurements, covariance)
-    figures = run_map(opened, out, slam)
-    journal.remove()
+    with open_journal(out, identity_of(opened, settings), resume) as journal:
+        slam = Mapping(settings, scans, quiet, workers, journal, measurements, covariance)
+        figures = run_map(opened, out, slam)
     if json:
         from json import dumps
 
@@ -125,7 +124,7 @@ def drive_through(opened: "Dataset", mapping: Mapping) -> "Run":
     return slam.finish(mapping.measurements, mapping.covariance)
 
 
-def _identity(opened: "Dataset", settings: "SlamConfig") -> dict[str, str]:
+def identity_of(opened: "Dataset", settings: "SlamConfig") -> dict[str, str]:
     """Return what must be the same for an interrupted run to be continued."""
     from sl3d_slam import __version__
     from sl3d_slam.config import dump_config

@@ -3,7 +3,7 @@
 import pytest
 
 from sl3d_slam import SlamPipeline, load_config
-from sl3d_slam.cli.map import _identity
+from sl3d_slam.cli.map import identity_of
 from sl3d_slam.errors import InputError
 from sl3d_slam.journal import FILE, FOLDER, open_journal
 
@@ -17,7 +17,7 @@ def killed(ring_dataset, tmp_path_factory):
     Records reach the system one by one, so leaving the pipeline alone is as good as a kill.
     """
     folder = tmp_path_factory.mktemp("killed")
-    journal = open_journal(folder, _identity(ring_dataset, load_config()), resume=False)
+    journal = open_journal(folder, identity_of(ring_dataset, load_config()), resume=False)
     slam = SlamPipeline(load_config(), simulated=True, journal=journal)
     for scan in ring_dataset.iterate(0, 50):
         slam.process(scan)
@@ -29,10 +29,10 @@ def killed(ring_dataset, tmp_path_factory):
 
 
 def test_an_interrupted_run_is_neither_lost_nor_taken_for_another(killed, ring_dataset):
-    identity = _identity(ring_dataset, load_config())
+    identity = identity_of(ring_dataset, load_config())
     with pytest.raises(InputError, match="holds an interrupted run; --resume continues it"):
         open_journal(killed, identity, resume=False)
-    coarse = _identity(ring_dataset, load_config(None, ["odometry.voxel_size_m=0.8"]))
+    coarse = identity_of(ring_dataset, load_config(None, ["odometry.voxel_size_m=0.8"]))
     with pytest.raises(InputError, match="had another config"):
         open_journal(killed, coarse, resume=True)
     with pytest.raises(InputError, match="had another input"):
@@ -42,7 +42,7 @@ def test_an_interrupted_run_is_neither_lost_nor_taken_for_another(killed, ring_d
 
 
 def test_scans_that_changed_meanwhile_are_refused(killed, ring_dataset):
-    journal = open_journal(killed, _identity(ring_dataset, load_config()), resume=True)
+    journal = open_journal(killed, identity_of(ring_dataset, load_config()), resume=True)
     slam = SlamPipeline(load_config(), journal=journal)
     slam.process(next(ring_dataset.iterate(0, 1)))
     with pytest.raises(InputError, match=r"scan 1 has .* points, but had another number"):
