@@ -64,11 +64,12 @@ def test_a_refusal_has_a_reason_and_nothing_else():
     assert result.reason == "nothing there"
 
 
-def test_odds_rise_with_lines_and_agreement_and_stay_finite():
+def test_odds_rise_with_lines_agreement_and_lead_and_stay_finite():
     odds = GOOD.log_odds
     assert replace(GOOD, matches=GOOD.matches[:5]).log_odds < odds
     assert replace(GOOD, seen=Visibility(3000, 120)).log_odds < odds
     assert replace(GOOD, seen=Visibility(6000, 120)).log_odds == pytest.approx(odds)  # shares count
+    assert replace(GOOD, lead=0.4).log_odds > odds > replace(GOOD, lead=-0.4).log_odds
     extremes = [Visibility(5000, 0), Visibility(0, 5000), Visibility(0, 0)]
     assert np.isfinite([replace(GOOD, seen=seen).log_odds for seen in extremes]).all()
 

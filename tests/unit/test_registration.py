@@ -15,7 +15,7 @@ from sl3d_slam.geometry.se3 import (
     transform_points,
 )
 from sl3d_slam.lines.extract import LineExtractor
-from sl3d_slam.registration import distinct, register_lines
+from sl3d_slam.registration import distinct, lines_log_odds, register_lines
 from sl3d_slam.types import LineSet
 
 T_TRUE = from_yaw(np.radians(137.0), np.array([8.0, -5.0, 0.0]))
@@ -60,7 +60,34 @@ def test_evenly_spaced_lamps_are_refused():
     assert "another place" in result.reason
 
 
-@pytest.mark.parametrize("count", [0, 1, 3])
+def test_odds_of_lines_alone_rise_with_lines_and_fall_with_a_rival():
+    assert lines_log_odds(8, 0.5) > lines_log_odds(5, 0.5)
+    assert lines_log_odds(8, 0.5) > lines_log_odds(8, 0.9)
+    assert np.isfinite(lines_log_odds(0, 1.0))
+
+
+def test_lines_of_two_places_get_no_pose(rng):
+    """Twenty draws of two unrelated places: no answer, so never an identity either."""
+    for _ in range(20):
+        result = register_lines(
+            poles(rng.uniform(-40, 40, (15, 2))), poles(rng.uniform(-40, 40, (15, 2)))
+        )
+        assert not result.success
+        assert result.T_target_source is None
+        assert result.reason
+
+
+def test_rotations_are_proper_for_any_yaw(rng):
+    for yaw_deg in (0.0, 90.0, 180.0, -123.0):
+        T_true = from_yaw(np.radians(yaw_deg), np.array([3.0, 14.0, 0.0]))
+        target = poles(rng.uniform(-35, 35, (12, 2)))
+        result = register_lines(target.transformed(invert(T_true)), target)
+        assert result.success
+        assert np.linalg.det(result.T_target_source[:3, :3]) == pytest.approx(1.0, abs=1e-12)
+        assert error(T_true, result.T_target_source)[0] < 1e-3
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3])
 def test_few_lines_are_a_no_with_a_reason(rng, count):
     few = poles(rng.uniform(-20, 20, (count, 2)))
     result = register_lines(few, few)

@@ -8,7 +8,9 @@ from sl3d_slam.geometry.se3 import exp, invert, log, make_transform, transform_p
 from sl3d_slam.geometry.segments import directions, midpoints
 from sl3d_slam.matching.solve import (
     LINE_SIGMA_M,
+    fill_free,
     line_distances_m,
+    line_information,
     refine_on_lines,
 )
 from sl3d_slam.types import LineSet
@@ -146,3 +148,29 @@ def test_line_distance_ignores_where_along_the_line():
     np.testing.assert_allclose(
         line_distances_m(source, target, pairs(1), np.eye(4)), [0.25], atol=1e-12
     )
+
+
+def test_information_at_a_pose_is_that_of_the_refined_one(rng):
+    target = any_lines(rng, 20)
+    source = seen_from(T_TRUE, target, rng)
+    _, refined = refine_on_lines(source, line_set(target), pairs(20), T_TRUE)
+    given = line_information(source, line_set(target), pairs(20), T_TRUE)
+    np.testing.assert_allclose(given, refined, rtol=1e-6, atol=1e-6 * refined.max())
+
+
+def test_lines_fill_only_what_clouds_leave_free(rng):
+    """A corridor holds all but the way along it; poles know that way."""
+    along = np.array([0.0, 0.0, 0.0, 0.6, 0.8, 0.0])
+    across = np.eye(6) - np.outer(along, along)
+    corridor = across @ np.diag([4e6, 4e6, 9e6, 9e3, 9e3, 9e3]) @ across
+    poles_say = np.diag([0.0, 0.0, 5e4, 300.0, 300.0, 0.0])
+    filled = fill_free(corridor, poles_say)
+    assert np.linalg.matrix_rank(corridor) == 5
+    assert np.linalg.matrix_rank(filled) == 6
+    assert along @ filled @ along == pytest.approx(300.0)
+    held = np.linalg.svd(along[None])[2][1:]
+    np.testing.assert_allclose(held @ filled @ held.T, held @ corridor @ held.T, rtol=1e-6)
+    np.testing.assert_array_equal(
+        fill_free(np.diag(np.arange(1.0, 7.0)), poles_say).diagonal(), np.arange(1.0, 7.0)
+    )
+    assert np.linalg.matrix_rank(fill_free(corridor, np.zeros((6, 6)))) == 5
