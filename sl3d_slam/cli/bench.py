@@ -137,6 +137,39 @@ def loops(
     show([table], out, quiet)
 
 
+@bench.command("covariance")
+def covariance(
+    data: DataArguments,
+    out: OutOption,
+    dataset: DatasetOption = "auto",
+    sequences: SequencesOption = None,
+    scans: ScansOption = None,
+    pairs: Annotated[int, typer.Option(min=1, help="Pairs of views of each drive.")] = 150,
+    min_travel: Annotated[
+        float, typer.Option(min=0, help="Metres of way between the views of a pair.")
+    ] = 40.0,
+    seed: Annotated[int, typer.Option(min=0, help="Chooses pairs and first guesses.")] = 0,
+    config: ConfigOption = None,
+    overrides: SetOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Normalised errors of loops and odometry steps against true poses: honest is six."""
+    from sl3d_slam.bench.covariance import CovarianceBench, run
+    from sl3d_slam.bench.drives import Drive
+    from sl3d_slam.cli.progress import Meter
+    from sl3d_slam.config import load_config
+
+    drives = [
+        Drive(str(path.resolve()), name, dataset, scans)
+        for path in data
+        for name in sequences or (None,)
+    ]
+    what = CovarianceBench(drives, load_config(config, overrides or ()), pairs, min_travel, seed)
+    with Meter(None, quiet=quiet) as meter:
+        table = run(what, out, _command(), meter.advance)
+    _show([table], out, quiet)
+
+
 @bench.command("backend")
 def backend(
     out: OutOption,
