@@ -1,6 +1,6 @@
-"""Lines of one scan with the network: what it calls a line, fitted, ranked and described."""
+"""Lines of one scan with the network: it ranks and describes what is proposed, and adds to it."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
@@ -10,27 +10,17 @@ from sl3d_slam.config import LineSettings
 from sl3d_slam.geometry.se3 import Points
 from sl3d_slam.lines.geometric import find_uprights, to_lidar
 from sl3d_slam.lines.grown import grow_uprights
-from sl3d_slam.lines.network.inference import Network
+from sl3d_slam.lines.network.inference import Inference, Network
 from sl3d_slam.lines.network.sample import network_points
 from sl3d_slam.lines.poles import Upright
 from sl3d_slam.lines.scene import Scene, make_scene
-from sl3d_slam.types import LineSet
+from sl3d_slam.types import LineKind, LineSet
 
 REACH_M = 0.35
 OVERSHOOT_M = 0.2
 SAME_LINE_M = 0.4
 FILL_M = 0.6
-MIN_DESCRIBED = 0.02
 PRIOR_POINTS = 2.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Labelled:
-    """The points the network saw, levelled, and what it said of them."""
-
-    points: Float32[np.ndarray, "M 4"]
-    probability: Float32[np.ndarray, "M"]
-    descriptors: Float32[np.ndarray, "M D"]
 
 
 def learned_lines(points_lidar: Points, settings: LineSettings, network: Network) -> LineSet:
@@ -38,40 +28,51 @@ def learned_lines(points_lidar: Points, settings: LineSettings, network: Network
 
     Candidates are what geometry proposes, whose axes are the most precise, and where it proposes
     nothing the segments grown from the points that the network calls lines; all are fitted on the
-    full scan. The network then ranks and describes them: by the mean line probability and the mean
-    descriptor of the points along each.
+    full scan. The network then ranks and describes them: by the mean line probability of the points
+    along each, times the root of the fit's score, and by their mean descriptor.
     """
     scene = make_scene(points_lidar, settings)
-    labelled = label_points(points_lidar, scene, network)
-    uprights, kinds = find_uprights(scene, settings)
-    proposed = _places(uprights)
-    for upright, kind in grow_uprights(
-        scene, labelled.points, labelled.probability, settings.min_length_m
-    ):
-        place = _places([upright])
-        if np.linalg.norm(proposed - place, axis=1).min(initial=np.inf) > FILL_M:
-            uprights.append(upright)
-            kinds.append(kind)
-    endpoints = np.array([upright.endpoints for upright in uprights]).reshape(-1, 2, 3)
-    members = points_along(endpoints, labelled.points)
+    points = network_points(points_lidar, network.settings)
+    points[:, :3] = points[:, :3] @ scene.R_level_lidar.T.astype(np.float32)
+    inference = network.infer(points)
+    uprights, kinds = _candidates(scene, points, inference.probability, settings)
+    endpoints = _segments(uprights)
+    members = points_along(endpoints, points)
     fits = np.array([upright.score for upright in uprights])
-    scores = fits * np.sqrt(_mean_probability(members, labelled.probability))
+    scores = np.sqrt(fits) * _mean_probability(members, inference.probability)
     order = _best_apart(endpoints, scores, settings.max_lines)
     return LineSet(
         endpoints=to_lidar(scene, endpoints[order]),
-        descriptors=_describe(labelled, [members[i] for i in order]),
+        descriptors=_describe(network, inference, [members[i] for i in order]),
         num_points=np.array([uprights[i].num_points for i in order], np.int64),
         kinds=np.array([kinds[i] for i in order], np.uint8),
         scores=scores[order].astype(np.float32),
     )
 
 
-def label_points(points_lidar: Points, scene: Scene, network: Network) -> Labelled:
-    """Run the network on a scan, levelled by its scene."""
-    points = network_points(points_lidar, network.settings)
-    points[:, :3] = points[:, :3] @ scene.R_level_lidar.T.astype(np.float32)
-    probability, descriptors = network.infer(points, MIN_DESCRIBED)
-    return Labelled(points, probability, descriptors)
+def _candidates(
+    scene: Scene,
+    points: Float32[np.ndarray, "M 4"],
+    probability: Float32[np.ndarray, "M"],
+    settings: LineSettings,
+) -> tuple[list[Upright], list[LineKind]]:
+    """Return geometry's lines, and those grown from confident points that none of them explains."""
+    uprights, kinds = find_uprights(scene, settings)
+    proposed = _segments(uprights)
+    unexplained = probability.copy()
+    for rows in points_along(proposed, points):
+        unexplained[rows] = 0.0
+    places = proposed.mean(axis=1)[:, :2]
+    for upright, kind in grow_uprights(scene, points, unexplained, settings.min_length_m):
+        place = upright.endpoints.mean(axis=0)[:2]
+        if np.linalg.norm(places - place, axis=1).min(initial=np.inf) > FILL_M:
+            uprights.append(upright)
+            kinds.append(kind)
+    return uprights, kinds
+
+
+def _segments(uprights: Sequence[Upright]) -> Float64[np.ndarray, "L 2 3"]:
+    return np.array([upright.endpoints for upright in uprights], np.float64).reshape(-1, 2, 3)
 
 
 def points_along(
@@ -102,10 +103,6 @@ def _beside(
     return rows[inside & (np.einsum("ij,ij->i", aside, aside) < REACH_M**2)]
 
 
-def _places(uprights: list[Upright]) -> Float64[np.ndarray, "L 2"]:
-    return np.array([upright.endpoints.mean(axis=0)[:2] for upright in uprights]).reshape(-1, 2)
-
-
 def _mean_probability(
     members: list[Int64[np.ndarray, "_"]], probability: Float32[np.ndarray, "M"]
 ) -> Float64[np.ndarray, "L"]:
@@ -131,13 +128,14 @@ def _best_apart(
 
 
 def _describe(
-    labelled: Labelled, members: list[Int64[np.ndarray, "_"]]
+    network: Network, inference: Inference, members: list[Int64[np.ndarray, "_"]]
 ) -> Float32[np.ndarray, "L D"]:
     """Return the mean descriptor of each line's points, weighted by their probability."""
-    dimension = labelled.descriptors.shape[1]
-    means = np.zeros((len(members), dimension), np.float32)
-    for row, points in enumerate(members):
-        means[row] = labelled.probability[points] @ labelled.descriptors[points]
-    lengths = np.linalg.norm(means, axis=1, keepdims=True)
-    fallback = np.full(dimension, dimension**-0.5, np.float32)
-    return np.where(lengths > 1e-9, means / np.maximum(lengths, 1e-9), fallback)
+    means = np.zeros((len(members), network.settings.descriptor_dim), np.float32)
+    if len(members) == 0:
+        return means
+    rows = np.concatenate(members)
+    weighted = network.describe(inference, rows) * inference.probability[rows, None]
+    line = np.repeat(np.arange(len(members)), [len(points) for points in members])
+    np.add.at(means, line, weighted)
+    return means / np.maximum(np.linalg.norm(means, axis=1, keepdims=True), 1e-12)
