@@ -166,8 +166,8 @@ def covariance(
     ]
     what = CovarianceBench(drives, load_config(config, overrides or ()), pairs, min_travel, seed)
     with Meter(None, quiet=quiet) as meter:
-        table = run(what, out, _command(), meter.advance)
-    _show([table], out, quiet)
+        table = run(what, out, command(), meter.advance)
+    show([table], out, quiet)
 
 
 @bench.command("backend")
