@@ -30,8 +30,6 @@ class AdaptationSettings(Settings):
     max_points: int = Field(default=20_000, ge=50)
     max_left_out: float = Field(default=0.3, ge=0, lt=1)
     threshold: float = Field(default=0.5, gt=0, lt=1)
-    num_neighbours: int = Field(default=20, ge=2)
-    stride: int = Field(default=4, ge=1)
 
 
 def line_votes(
@@ -39,14 +37,18 @@ def line_votes(
     points_lidar: Points,
     settings: AdaptationSettings,
     rng: np.random.Generator,
+    neighbours: tuple[int, int] = (20, 4),
 ) -> Float32[np.ndarray, "N"]:
-    """Return for every point the share of views that called it a line; 0 where none showed it."""
+    """Return for every point the share of views that called it a line; 0 where none showed it.
+
+    ``neighbours`` are how many the network looks at, and their stride.
+    """
     lines = np.zeros(len(points_lidar), np.float32)
     seen = np.zeros(len(points_lidar), np.float32)
     for _ in range(settings.views):
         chosen, voxel_of = random_view(points_lidar, settings, rng)
         view = moved_at_random(points_lidar[chosen], settings, rng)
-        (shares,) = line_shares(network, [view], settings.num_neighbours, settings.stride)
+        (shares,) = line_shares(network, [view], *neighbours)
         shown = voxel_of >= 0
         lines[shown] += shares[voxel_of[shown]] > settings.threshold
         seen += shown

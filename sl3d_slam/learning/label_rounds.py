@@ -25,6 +25,7 @@ from sl3d_slam.learning.labelling import (
     LabelSettings,
     ScanWorker,
     Source,
+    load_segmentation,
     read_candidates,
 )
 from sl3d_slam.learning.labels import label_points, read_labels, write_labels
@@ -84,6 +85,7 @@ def run_rounds(
     OutputError
         where ``out`` cannot be written.
     """
+    load_segmentation(run.weights)  # refused now rather than after the odometry
     prepare_run_folder(out)
     _refuse_other_run(run, out)
     dataset = run.source.open()

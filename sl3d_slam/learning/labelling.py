@@ -72,6 +72,22 @@ class Candidates:
     doubtful: Float64[np.ndarray, "U 2 3"]
 
 
+def load_segmentation(path: Path) -> SuperLine3D:
+    """Return a network that labels: one that wants coordinates alone.
+
+    Raises
+    ------
+    InputError
+        naming a file that is missing, damaged or holds another kind of network.
+    """
+    network = load_weights(path)
+    if not network.settings.scale_invariant:
+        raise InputError(
+            f"{path}: its network is not scale-invariant; expected weights of sl3d train synthetic"
+        )
+    return network
+
+
 def find_candidates(
     network: SuperLine3D, points_lidar: Points, settings: LabelSettings, seed: int
 ) -> Candidates:
@@ -79,7 +95,8 @@ def find_candidates(
     rng = np.random.default_rng([seed, len(points_lidar)])
     votes = np.zeros(len(points_lidar), np.float32)
     far = np.einsum("nd,nd->n", points_lidar, points_lidar) > MIN_RANGE_M**2
-    votes[far] = line_votes(network, points_lidar[far], settings.adaptation, rng)
+    neighbours = (network.settings.num_neighbours, network.settings.stride)
+    votes[far] = line_votes(network, points_lidar[far], settings.adaptation, rng, neighbours)
     grown = grow_lines(points_lidar[votes >= settings.kept_votes], settings.growth, seed)
     up = up_direction(points_lidar)
     plausible = _stand_out(grown, points_lidar, up)
@@ -128,7 +145,7 @@ class ScanWorker:
     ) -> None:
         torch.set_num_threads(1)
         self._dataset = source.open()
-        self._network = load_weights(weights)
+        self._network = load_segmentation(weights)
         self._folder = folder
         self._settings = settings
 

@@ -11,10 +11,11 @@ from sl3d_slam.config import Settings
 from sl3d_slam.geometry.se3 import Points
 from sl3d_slam.io.dataset import Dataset
 from sl3d_slam.learning.adaptation import AdaptationSettings, moved_at_random, random_view
+from sl3d_slam.learning.labelling import load_segmentation
 from sl3d_slam.learning.labels import UNKNOWN, ScanLabels, read_labels
 from sl3d_slam.learning.segmentation import Sample, kind_weights
 from sl3d_slam.learning.segmentation_trainer import FitSettings, Progress, fit
-from sl3d_slam.lines.network.weights_file import load_weights, save_weights
+from sl3d_slam.lines.network.weights_file import save_weights
 from sl3d_slam.types import LineKind
 
 NUM_WEIGHED = 20
@@ -55,7 +56,7 @@ def refine(
     if path.is_file():
         progress("refined before", settings.steps)
         return path
-    network = load_weights(weights)
+    network = load_segmentation(weights)
     fitting = FitSettings(
         steps=settings.steps,
         learning_rate=settings.learning_rate,

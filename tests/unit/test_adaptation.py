@@ -31,6 +31,7 @@ from sl3d_slam.learning.line_growth import GrowthSettings, grow_lines, regions
 from sl3d_slam.learning.refinement import RefineSettings
 from sl3d_slam.learning.synthetic_training import scale_invariant
 from sl3d_slam.lines.network.model import SuperLine3D
+from sl3d_slam.lines.network.settings import NetworkSettings
 from sl3d_slam.lines.network.weights_file import save_weights
 
 POLE = np.array([[9.0, 4.0, -1.5], [9.0, 4.0, 3.0]])
@@ -199,13 +200,12 @@ def town(tmp_path_factory):
 
 
 def tiny_run(town, **changes):
-    views = AdaptationSettings(views=2, max_points=2000, num_neighbours=8)
+    views = AdaptationSettings(views=2, max_points=2000)
     return LabelRun(
         source=Source(str(town), "00"),
-        weights=town / "weights.safetensors",
         settings=LabelSettings(adaptation=views),
         refinement=RefineSettings(steps=2, batch=1, views=views),
-        **{"rounds": 2, **changes},
+        **{"rounds": 2, "weights": town / "weights.safetensors", **changes},
     )
 
 
@@ -235,6 +235,15 @@ def test_labels_made_in_another_way_are_not_mixed(town, tmp_path):
         run_rounds(tiny_run(town, rounds=1, every=2), tmp_path)
 
 
+def test_weights_that_cannot_label_are_refused_in_a_sentence(town, tmp_path):
+    path = tmp_path / "joint.safetensors"
+    save_weights(path, SuperLine3D(NetworkSettings(width=8)), {})
+    with pytest.raises(InputError, match=r"joint\.safetensors: its network is not scale-invariant"):
+        run_rounds(tiny_run(town, weights=path), tmp_path / "out")
+    with pytest.raises(InputError, match=r"missing\.safetensors"):
+        run_rounds(tiny_run(town, weights=tmp_path / "missing.safetensors"), tmp_path / "out")
+
+
 def test_true_lines_score_full_marks_and_shifted_ones_none(town):
     truth = read_town_truth(town / "sequences" / "00")
     pose = from_yaw(0.4, np.array([1.0, 2.0, 0.5]))
@@ -262,7 +271,7 @@ def test_a_scan_without_lines_has_no_candidates(rng):
     torch.nn.init.zeros_(network.segmentation[-1].weight)
     with torch.no_grad():
         network.segmentation[-1].bias.copy_(torch.tensor([5.0, -5.0]))
-    settings = LabelSettings(adaptation=AdaptationSettings(views=1, num_neighbours=8))
+    settings = LabelSettings(adaptation=AdaptationSettings(views=1))
     candidates = find_candidates(network, street(rng), settings, 0)
     assert len(candidates.lines) == 0
     assert candidates.votes.max() == 0
