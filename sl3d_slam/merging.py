@@ -99,10 +99,9 @@ def merge_maps(
 
 
 def places_to_ask(second: LineMap) -> list[int]:
-    """Return keyframes of a map, evenly over its places, at most 200."""
-    keyframes = Places(second).keyframes
-    step = -(-len(keyframes) // MAX_ASKED) if len(keyframes) else 1
-    return [int(keyframe) for keyframe in keyframes[::step]]
+    """Return keyframes of a map, evenly over all of them, at most 200."""
+    count = len(second.T_map_keyframe)
+    return list(range(0, count, max(1, -(-count // MAX_ASKED))))
 
 
 def find_ties(
