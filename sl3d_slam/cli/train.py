@@ -6,6 +6,7 @@ from sl3d_slam.cli.errors import Verbs
 from sl3d_slam.cli.train_joint import joint
 from sl3d_slam.cli.train_label import label
 from sl3d_slam.cli.train_synthetic import synthetic
+from sl3d_slam.cli.train_towns import towns
 
 train = typer.Typer(
     cls=Verbs,
@@ -16,3 +17,4 @@ train = typer.Typer(
 train.command("synthetic")(synthetic)
 train.command("label")(label)
 train.command("joint")(joint)
+train.command("towns")(towns)
