@@ -235,3 +235,14 @@ def test_a_planted_clique_is_found_among_hundreds(rng):
     planted = np.sort(rng.choice(400, 60, replace=False))
     adjacency[np.ix_(planted, planted)] = True
     assert maximum_clique(adjacency) == planted.tolist()
+
+
+def test_drift_is_wider_than_its_steps_over_a_stretch_but_a_step_is_what_it_is():
+    truth = winding_drive(9)
+    wide = SETTINGS.model_copy(update={"drift_inflation": 3.0})
+    ends = np.array([1]), np.array([8])
+    chains = [OdometryChain(settings) for settings in (SETTINGS, wide)]
+    steps = [[chain.append(k, pose, 1) for k, pose in enumerate(truth)] for chain in chains]
+    np.testing.assert_array_equal(steps[0][5], steps[1][5])
+    narrow, wider = (chain.covariances(*ends)[0] for chain in chains)
+    np.testing.assert_allclose(wider, 9.0 * narrow, rtol=1e-9, atol=1e-12)
