@@ -44,6 +44,9 @@ def joint(
     descriptor_dim: Annotated[int, typer.Option(min=2, help="Numbers a descriptor.")] = 64,
     neighbours: Annotated[str, typer.Option(help="Found in: space or features.")] = "space",
     checkpoint_every: Annotated[int, typer.Option(min=1, help="Steps.")] = 200,
+    stop: Annotated[
+        int | None, typer.Option(min=1, help="Leave the run at this step, to go on later.")
+    ] = None,
     cache: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Keep prepared drives here.")
     ] = None,
@@ -84,7 +87,7 @@ def joint(
         raise InputError(f"{problem['loc'][0]}: {problem['msg']}") from None
     plan = JointPlan(
         tuple(data), out, tuple(labels or ()), tuple(held_out or ()), start, resume, cache,
-        checkpoint_every,
+        checkpoint_every, stop,
     )  # fmt: skip
     with Meter(None, "scans prepared", quiet) as reading, Meter(steps, "steps", quiet) as meter:
         train_joint(plan, settings, network, reading.advance, meter.advance)

@@ -27,7 +27,8 @@ VALIDATION, PREPARED = "validation.csv", "prepared"
 class JointPlan:
     """What to train on and with.
 
-    ``start`` are weights to start from, ``held_out`` drives to look at and never to learn from.
+    ``start`` are weights to start from, ``held_out`` drives to look at and never to learn from;
+    ``stop`` is the step to leave the run at, as if it were killed there.
     """
 
     data: tuple[Path, ...]
@@ -38,6 +39,7 @@ class JointPlan:
     resume: bool = False
     cache: Path | None = None
     checkpoint_every: int = 200
+    stop: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +93,7 @@ def train_joint(
             if looks:
                 write_looks(plan.out / VALIDATION, looks)
 
-        training.run(progress, plan.checkpoint_every, look=look)
+        training.run(progress, plan.checkpoint_every, plan.stop, look)
     return model
 
 

@@ -7,8 +7,9 @@ from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import from_yaw, invert
 from sl3d_slam.geometry.segments import transform_segments
 from sl3d_slam.learning.landmarks import distances_to_segments, find_landmarks, label_points
-from sl3d_slam.learning.prepare import DriveSource, find_sources, network_labels, prepare_drive
+from sl3d_slam.learning.prepare import DriveSource, find_sources, prepare_drive
 from sl3d_slam.learning.prepared import BACKGROUND, IGNORED
+from sl3d_slam.learning.scan_labels import network_labels
 from sl3d_slam.lines.network.settings import NetworkSettings
 from sl3d_slam.simulation.drive import plan_drive
 from sl3d_slam.simulation.roads import Road
