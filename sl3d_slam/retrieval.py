@@ -11,8 +11,8 @@ from sl3d_slam.geometry.se3 import Transform, from_yaw, invert
 from sl3d_slam.loops.landmark_index import LandmarkIndex
 from sl3d_slam.mapping.places import Places
 from sl3d_slam.matching.prepared import PreparedView
+from sl3d_slam.matching.seeds import distinct
 from sl3d_slam.matching.verticals import Verticals, find_verticals
-from sl3d_slam.registration import distinct
 
 NUM_VOTED = 48
 REACH_M = 1.0  # of a line from its landmark before the lines have refined the pose

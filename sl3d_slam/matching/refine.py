@@ -6,7 +6,7 @@ far as lines err: reaching 3 m, it slid by 0.9 m along a real street that lines 
 
 import numpy as np
 import small_gicp
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 
 from sl3d_slam.geometry.se3 import Transform
 from sl3d_slam.matching import dense
@@ -16,6 +16,7 @@ from sl3d_slam.matching.verticals import Verticals
 ITERATIONS = 5
 ROBUST_M = 0.2
 REACH_M = 0.6
+MOVING_VOXEL_M = 1.0
 MAX_STEPS = 25
 
 
@@ -34,11 +35,18 @@ def fit_planar(
     return pose
 
 
+def moving_cloud(cloud: Float32[np.ndarray, "N 3"]) -> small_gicp.PointCloud | None:
+    """Return a coarse cloud thinned for the moving side; None where it has too few points."""
+    if len(cloud) < dense.MIN_POINTS:
+        return None
+    points = cloud.astype(np.float64)
+    return small_gicp.preprocess_points(points, MOVING_VOXEL_M, num_neighbors=dense.NEIGHBOURS)[0]
+
+
 def align_near(
-    target: dense.DenseCloud, source: dense.DenseCloud, T_target_source: Transform
+    target: dense.DenseCloud, moving: small_gicp.PointCloud, T_target_source: Transform
 ) -> dense.DenseAlignment:
     """Refine a guess that lines have made good to decimetres. Deterministic: one thread."""
-    moving = source.moving[-1]
     result = small_gicp.align(
         target.points,
         moving,

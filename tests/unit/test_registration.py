@@ -15,7 +15,9 @@ from sl3d_slam.geometry.se3 import (
     transform_points,
 )
 from sl3d_slam.lines.extract import LineExtractor
-from sl3d_slam.registration import distinct, lines_log_odds, register_lines
+from sl3d_slam.matching.alone import lines_log_odds
+from sl3d_slam.matching.seeds import distinct
+from sl3d_slam.registration import register_lines
 from sl3d_slam.types import LineSet
 
 T_TRUE = from_yaw(np.radians(137.0), np.array([8.0, -5.0, 0.0]))
