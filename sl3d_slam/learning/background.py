@@ -7,7 +7,6 @@ from jaxtyping import Float64, Int64
 from scipy.spatial import cKDTree
 
 from sl3d_slam.errors import InputError
-from sl3d_slam.geometry.se3 import Points
 from sl3d_slam.learning.thinning import voxel_choice
 from sl3d_slam.simulation.drive import plan_drive, simulate_drive
 from sl3d_slam.simulation.roads import builtin_road
@@ -21,8 +20,8 @@ CENTRE_RANGE_M = (4.0, 40.0)
 MAX_LINE_SHARE = 0.01
 MAX_TRIES = 40
 
-Clip = Float64[np.ndarray, "K 3"]
-LabelledScan = tuple[Points, Int64[np.ndarray, "N"]]
+Clip = Float64[np.ndarray, "_ 3"]
+LabelledScan = tuple[Clip, Int64[np.ndarray, "_"]]
 
 
 def simulated_clips(seed: int, road: str = "street") -> tuple[Clip, ...]:
@@ -38,7 +37,7 @@ def simulated_clips(seed: int, road: str = "street") -> tuple[Clip, ...]:
     return cut_clips(list(scans), rng)
 
 
-def clips_of_scans(scans: Sequence[Points], seed: int) -> tuple[Clip, ...]:
+def clips_of_scans(scans: Sequence[Clip], seed: int) -> tuple[Clip, ...]:
     """Return 40 clips of 1,000 points from any scans; all of it counts as background.
 
     Raises
