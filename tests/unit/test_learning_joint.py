@@ -114,7 +114,7 @@ def test_the_loss_falls_and_partners_are_found(drive, tmp_path):
     assert rows.shape == (60, len(COLUMNS))
     assert rows[-10:, 2].mean() < 0.8 * rows[:10, 2].mean()
     near = rank(training.model, drive)[0]
-    assert near.num_lines > 0
+    assert near.num_lines == 12 * near.num_pairs > 0
     assert near.chance_five == pytest.approx(5 / 12)
     assert near.top_five > near.chance_five + 0.1
     assert detect(training.model, drive, every=1).best_f1 > 0.75  # all points are lines: 0.62
@@ -147,6 +147,13 @@ def test_a_pair_is_the_same_whenever_it_is_drawn(drive):
     first.draw(3)
     assert torch.equal(first.draw(7).points, again.draw(7).points)
     assert torch.equal(first.draw(7).matches, again.draw(7).matches)
+
+
+def test_matches_of_a_pair_are_the_same_poles(drive):
+    """Rows of this drive's lines are the same in all scans, whichever way a pair is turned."""
+    source = PairSource([drive], settings(), SMALL)
+    for number in range(8):
+        assert source.draw(number).matches.tolist() == [[k, k] for k in range(12)]
 
 
 def test_real_and_simulated_drives_come_up_in_the_wanted_share(drive):
