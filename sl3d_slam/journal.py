@@ -20,7 +20,7 @@ from sl3d_slam.records import RecordFile
 from sl3d_slam.types import LoopConstraint, RegisteredScan, Rejection
 
 FOLDER, FILE = ".journal", "records"
-IDENTITY = "run"
+IDENTITY, MODEL = "run", "line model"
 _KINDS = {kind.__name__: kind for kind in (LoopConstraint, Rejection)}
 
 Outcome = LoopConstraint | Rejection
@@ -54,6 +54,21 @@ class Journal:
             self.remove()
         else:
             self.close()
+
+    @property
+    def model(self) -> str:
+        """The line model of the views, once one was noted."""
+        return self.records[MODEL].decode()
+
+    def note_model(self, model: str) -> None:
+        """Note the line model of the views; raise InputError where they were another's."""
+        if MODEL not in self.records:
+            self.records[MODEL] = model.encode()
+        elif self.model != model:
+            raise InputError(
+                f"the interrupted run found lines with {self.model}; expected that model, "
+                f"not {model}"
+            )
 
     def pose(self, scan_index: int) -> Transform | None:
         """Return the noted ``T_odom_lidar`` of a scan, to the bit, or None."""

@@ -3,7 +3,9 @@
 import platform
 import resource
 import sys
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -38,6 +40,13 @@ class StageTimes:
     def add(self, stage: str, duration_s: float) -> None:
         """Note one call."""
         self.seconds.setdefault(stage, []).append(duration_s)
+
+    @contextmanager
+    def measured(self, stage: str) -> Iterator[None]:
+        """Note how long a block takes."""
+        start_s = time.perf_counter()
+        yield
+        self.add(stage, time.perf_counter() - start_s)
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Return mean and 99th percentile in milliseconds, by stage."""

@@ -14,6 +14,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import cached_property
+from typing import NamedTuple
 
 import numba
 
@@ -24,7 +25,13 @@ from sl3d_slam.lines.extract import LineExtractor
 from sl3d_slam.matching.views import make_view, pack, to_bytes
 from sl3d_slam.types import View
 
-Made = tuple[bytes, float]  # a packed view as bytes, and the seconds it took
+
+class Made(NamedTuple):
+    """A packed view as bytes, the seconds it took, and the model that found its lines."""
+
+    packed: bytes
+    seconds: float
+    model: str
 
 
 def view_of(points_lidar: Points, extractor: LineExtractor, config: SlamConfig) -> View:
@@ -109,7 +116,7 @@ class _Bench:
         """Make a packed view."""
         start_s = time.perf_counter()
         raw = to_bytes(pack(view_of(points_lidar, self.extractor, self._config)))
-        return raw, time.perf_counter() - start_s
+        return Made(raw, time.perf_counter() - start_s, self.extractor.model)
 
 
 _bench: _Bench | None = None  # of a worker process

@@ -1,0 +1,141 @@
+"""All that follows from a keyframe: its view, its place in the graph, its loops, its map lines."""
+
+from collections import deque
+from concurrent.futures import Future
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from sl3d_slam.closing import KeptClouds, LoopCloser
+from sl3d_slam.config import SlamConfig
+from sl3d_slam.geometry.se3 import Transform
+from sl3d_slam.graph.pose_graph import PoseGraph
+from sl3d_slam.journal import Journal
+from sl3d_slam.mapping.line_map import LineMap, MapOrigin
+from sl3d_slam.run import StageTimes
+from sl3d_slam.types import Keyframe, LoopConstraint, LoopRecord, Rejection
+from sl3d_slam.viewing import Made, ViewMaker, result_of
+
+
+class _Opened(NamedTuple):
+    """A keyframe whose view is being made; None where it is kept already."""
+
+    id: int
+    scan_index: int
+    T_odom_lidar: Transform
+    view: "Future[Made] | None"
+
+
+class KeyframeWork:
+    """Keyframes in their order: views may be made beside, the rest follows one by one.
+
+    Attributes
+    ----------
+    graph : the live pose graph of the keyframes taken up so far.
+    scan_of_keyframe : the scan that each of them is.
+    """
+
+    def __init__(
+        self, config: SlamConfig, workers: int, journal: Journal, times: StageTimes
+    ) -> None:
+        self.graph = PoseGraph(config.graph)
+        self.scan_of_keyframe: dict[int, int] = {}
+        self._config = config
+        self._maker = ViewMaker(config, workers)
+        self._journal = journal
+        self._closer = LoopCloser(config, journal.records)
+        self._opened: deque[_Opened] = deque()
+        self._rejections: list[Rejection] = []
+        self._times = times
+
+    def open(self, keyframe: Keyframe, scan_index: int) -> None:
+        """Have the view of a keyframe made, where it is not kept from an interrupted run."""
+        kept = self._closer.has_view(keyframe.id)
+        view = None if kept else self._maker.start(keyframe.points_lidar)
+        self._opened.append(_Opened(keyframe.id, scan_index, keyframe.T_odom_lidar, view))
+
+    def go_on(self) -> None:
+        """Take up the keyframes whose views are made; wait where more than a few are open."""
+        self._take_up(2 * self._maker.workers)
+
+    def finish(self) -> None:
+        """Take up all that are open and end the workers."""
+        self._take_up(0)
+        self._maker.close()
+
+    def build_map(self, T_world_lidar: Float64[np.ndarray, "N 4 4"], origin: MapOrigin) -> LineMap:
+        """Merge the lines of all keyframes, given the final pose of every scan."""
+        keyframes = list(self.scan_of_keyframe)
+        lines, up = [], []
+        for keyframe_id in keyframes:
+            view = self._closer.view(keyframe_id)
+            lines.append(view.lines)
+            up.append(view.up)
+        return LineMap.build(
+            lines,
+            T_world_lidar[list(self.scan_of_keyframe.values())],
+            np.array(up),
+            KeptClouds(self._closer, keyframes) if self._config.map.clouds else None,
+            self._config.map,
+            origin,
+        )
+
+    def loop_records(self) -> list[LoopRecord]:
+        """Return every verified candidate with what became of it, by scan."""
+        records = [
+            self._record(verdict.loop, verdict.status, verdict.reason)
+            for verdict in self.graph.verdicts
+        ]
+        records += [self._record(no, "rejected", no.reason) for no in self._rejections]
+        return sorted(records, key=lambda record: (record.query_scan, record.target_scan))
+
+    def _take_up(self, limit: int) -> None:
+        while self._opened:
+            view = self._opened[0].view
+            if len(self._opened) <= limit and not (view is None or view.done()):
+                break
+            self._extend(self._opened.popleft())
+
+    def _extend(self, keyframe: _Opened) -> None:
+        """Add a keyframe to graph and constellations and look for its loops."""
+        if keyframe.view is not None:
+            made = result_of(keyframe.view)
+            self._times.add("lines", made.seconds)
+            self._journal.note_model(made.model)
+            self._closer.keep(keyframe.id, made.packed)
+        self._closer.add_kept(keyframe.id, keyframe.T_odom_lidar)
+        last = self.scan_of_keyframe.get(keyframe.id - 1, keyframe.scan_index)
+        self.scan_of_keyframe[keyframe.id] = keyframe.scan_index
+        steps = keyframe.scan_index - last
+        with self._times.measured("graph"):
+            self.graph.add_keyframe(keyframe.id, keyframe.T_odom_lidar, steps)
+        if self._config.loops.enabled:
+            self._close_loops(keyframe.id)
+
+    def _close_loops(self, keyframe_id: int) -> None:
+        outcomes = self._journal.outcomes(keyframe_id)
+        if outcomes is None:
+            with self._times.measured("loops"):
+                found = self._closer.search(keyframe_id, self.graph.estimates())
+            outcomes = self._journal.note_outcomes(keyframe_id, found)
+        for outcome in outcomes:
+            if isinstance(outcome, LoopConstraint):
+                with self._times.measured("graph"):
+                    self.graph.add_loop(outcome)
+            else:
+                self._rejections.append(outcome)
+
+    def _record(
+        self, candidate: LoopConstraint | Rejection, status: str, reason: str
+    ) -> LoopRecord:
+        T_target_query = candidate.T_target_query
+        assert T_target_query is not None  # every verified candidate has a pose
+        return LoopRecord(
+            self.scan_of_keyframe[candidate.query_id],
+            self.scan_of_keyframe[candidate.target_id],
+            T_target_query,
+            candidate.num_inliers,
+            status,
+            "" if status == "accepted" else reason,
+        )
