@@ -16,6 +16,7 @@ from sl3d_slam.learning.joint_settings import AugmentSettings, JointSettings
 from sl3d_slam.learning.joint_validation import detect, rank
 from sl3d_slam.learning.pair_source import PairSource
 from sl3d_slam.learning.pairs import close_pairs, draw_pair, same_lines
+from sl3d_slam.learning.parallel import Team
 from sl3d_slam.learning.prepared import PreparedDrive, PreparedScan, load_drive, save_drive
 from sl3d_slam.lines.network.model import SuperLine3D
 from sl3d_slam.lines.network.settings import NetworkSettings
@@ -79,6 +80,27 @@ def test_a_killed_run_resumed_ends_in_the_same_weights(drive, tmp_path):
     curves = [(tmp_path / name / "curves.csv").read_text() for name in ("whole", "killed")]
     assert curves[0] == curves[1]
     assert [row[0] for row in read_curves(tmp_path / "whole" / "curves.csv")] == [1, 2, 3, 4, 5, 6]
+
+
+def test_every_step_sees_pairs_of_its_own_and_every_process_too(drive, tmp_path, monkeypatch):
+    drawn = []
+    draw = PairSource.draw
+
+    def noted(source, number):
+        drawn.append(number)
+        return draw(source, number)
+
+    monkeypatch.setattr(PairSource, "draw", noted)
+    JointTraining(new_model(), [drive], settings(pairs_per_step=2), tmp_path / "a").run(stop=3)
+    assert drawn == [0, 1, 2, 3, 4, 5]
+    drawn.clear()
+    second = JointTraining(
+        new_model(), [drive], settings(pairs_per_step=2), tmp_path / "b", Team(rank=1, size=3)
+    )
+    monkeypatch.setattr(Team, "average_gradients", lambda team, model: None)
+    monkeypatch.setattr(Team, "average", lambda team, values: values)
+    second.run(stop=2)
+    assert drawn == [2, 3, 8, 9]
 
 
 def test_weights_left_by_a_run_are_those_of_the_model(drive, tmp_path):

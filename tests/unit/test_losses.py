@@ -108,6 +108,17 @@ def test_poles_and_edges_both_count(rng):
     assert pull[:2].sum().item() == pytest.approx(pull[2:22].sum().item(), rel=1e-5)
 
 
+def test_each_kind_of_line_that_occurs_has_the_same_part():
+    line_ids = ids(*[0] * 3, *[1] * 7, *[2] * 5, *[-1] * 15)
+    kinds = ids(POLE, EDGE, int(LineKind.UNKNOWN))
+    logits = torch.zeros(30, 2, requires_grad=True)
+    segmentation_loss(logits, line_ids, kinds, SETTINGS).backward()
+    parts = [-logits.grad[line_ids == line, 1].sum().item() for line in range(3)]
+    assert parts == pytest.approx([0.5 * 0.4 / 3] * 3, rel=1e-5)  # half a unit a point at p = 0.5
+    background = logits.grad[line_ids == -1, 1].sum().item()
+    assert background == pytest.approx(0.5 * 0.6, rel=1e-5)
+
+
 def test_unknown_points_do_not_count():
     logits = torch.zeros(3, 2, requires_grad=True)
     segmentation_loss(logits, ids(0, -1, -2), ids(POLE), SETTINGS).backward()
