@@ -177,7 +177,7 @@ def _effort(surfaces_follow: bool) -> RegistrationConfig:
     """Stop iterating early where surfaces finish the work; the trajectory does not change.
 
     Measured on simulated and real drives: the steps that KISS-ICP took between 3 mm and 3 cm, and
-    half of its points, made no difference of a tenth of a millimetre after the surfaces.
+    half of its points, made no difference of a millimetre after the surfaces.
     """
     return (
         RegistrationConfig(convergence_criterion=COARSE_STEP_M)

@@ -16,7 +16,14 @@ from sl3d_slam.bench.process import run_runner
 from sl3d_slam.bench.tables import Column, Row, Table, write_tables
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.files import prepare_run_folder, write_whole
-from sl3d_slam.report.style import GREY, new_figure, picture_style, style_axes, to_png
+from sl3d_slam.report.style import (
+    GREY,
+    colour_of,
+    new_figure,
+    picture_style,
+    style_axes,
+    to_png,
+)
 
 RUNNER = "sl3d_slam.bench.extract_runner"
 COLUMNS = (
@@ -149,21 +156,19 @@ def draw_stages(rows: Sequence[Row], stages: Sequence[Row]) -> bytes:
     known = [row for row in rows if "processor_ms" in row]
     names = list(dict.fromkeys(row["stage"] for row in stages))
     with picture_style():
-        from matplotlib import colormaps
-
         figure = new_figure(11.0, 1.2 + 0.7 * max(len(known), 1), "Line extraction of a scan")
         axes = figure.subplots()
         for place, row in enumerate(known):
             left = 0.0
             own = [stage for stage in stages if stage["method"] == row["method"]]
             for stage in own:
-                colour = colormaps["tab20"](names.index(stage["stage"]))
+                colour = colour_of(names.index(stage["stage"]))
                 axes.barh(place, stage["processor_ms"], left=left, color=colour)
                 left += stage["processor_ms"]
             if not own:
                 axes.barh(place, row["processor_ms"], color=GREY)
         for number, name in enumerate(names):
-            axes.barh(0, 0.0, color=colormaps["tab20"](number), label=name)
+            axes.barh(0, 0.0, color=colour_of(number), label=name)
         axes.set_yticks(range(len(known)), [row["method"] for row in known])
         axes.invert_yaxis()
         axes.set_xlabel("processor ms, mean of a scan")

@@ -59,7 +59,6 @@ def joint(
     several of its scans confirm. Poses of real drives are this package's odometry. Start it with
     `torchrun --no-python sl3d train joint ...` to train in several processes.
     """
-    import torch
     from pydantic import ValidationError
 
     from sl3d_slam.cli.progress import Meter
@@ -68,7 +67,6 @@ def joint(
     from sl3d_slam.learning.joint_settings import JointSettings, LossSettings
     from sl3d_slam.lines.network.settings import NetworkSettings
 
-    torch.set_num_threads(threads)
     quiet = quiet or os.environ.get("RANK", "0") != "0"  # of the processes of torchrun one speaks
     try:
         settings = JointSettings(
@@ -87,7 +85,7 @@ def joint(
         raise InputError(f"{problem['loc'][0]}: {problem['msg']}") from None
     plan = JointPlan(
         tuple(data), out, tuple(labels or ()), tuple(held_out or ()), start, resume, cache,
-        checkpoint_every, stop,
+        checkpoint_every, stop, threads,
     )  # fmt: skip
     with Meter(None, "scans prepared", quiet) as reading, Meter(steps, "steps", quiet) as meter:
         train_joint(plan, settings, network, reading.advance, meter.advance)

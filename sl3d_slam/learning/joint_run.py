@@ -28,7 +28,8 @@ class JointPlan:
     """What to train on and with.
 
     ``start`` are weights to start from, ``held_out`` drives to look at and never to learn from;
-    ``stop`` is the step to leave the run at, as if it were killed there.
+    ``stop`` is the step to leave the run at, as if it were killed there; ``threads`` are those of
+    one process.
     """
 
     data: tuple[Path, ...]
@@ -40,6 +41,7 @@ class JointPlan:
     cache: Path | None = None
     checkpoint_every: int = 200
     stop: int | None = None
+    threads: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +81,7 @@ def train_joint(
     OutputError
         where the folder cannot be written to.
     """
+    torch.set_num_threads(plan.threads)
     with joined_team() as team:
         model = start_model(network, settings, plan.start)
         drives, held_out = _prepare_together(plan, model.settings, team, prepared)

@@ -43,6 +43,13 @@ def picture_style() -> Iterator[None]:
         yield
 
 
+def colour_of(index: int) -> Any:
+    """Return one of twenty colours for things that have no colour of their own."""
+    from matplotlib import colormaps
+
+    return colormaps["tab20"](index % 20)
+
+
 def new_figure(width_in: float, height_in: float, title: str) -> Any:
     """Return an empty figure with a title, drawn off screen and known to no global state."""
     from matplotlib.figure import Figure
