@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from sl3d_slam.bench.process import run_runner
-from sl3d_slam.bench.registration_figures import COLUMNS, NOTES, figures
+from sl3d_slam.bench.registration_figures import COLUMNS, NOTES, PEER_PAIRS, figures
 from sl3d_slam.bench.registration_methods import Attempt
 from sl3d_slam.bench.registration_pictures import draw_curves, draw_iterations, draw_recall
 from sl3d_slam.bench.registration_plan import Plan, RegistrationBench
@@ -37,50 +37,59 @@ def run(
     prepare_run_folder(out)
     rows: list[Row] = []
     answers: dict[str, list[list[Attempt]]] = {}
-    for method in bench.methods:
-        status, attempts = _attempts(bench, plan, method, progress)
-        if attempts:
-            answers[method] = attempts
-        rows += list(_rows(plan, method, status, attempts))
+    for methods in bench.processes:
+        status, found = _attempts(bench, plan, methods, progress)
+        answers |= found
+        for method in methods:
+            rows += list(_rows(plan, method, status, found.get(method, [])))
     rows.sort(key=lambda row: [group.name for group in plan.groups].index(row["pairs_of"]))
     source = f"truth {bench.truth}, tilt up to {bench.tilt_deg:g} deg, seed {bench.seed}"
-    table = Table(f"Registration of two scans ({source})", COLUMNS, rows, NOTES)
+    notes = NOTES if bench.peer_pairs is None else (*NOTES, PEER_PAIRS.format(bench.peer_pairs))
+    table = Table(f"Registration of two scans ({source})", COLUMNS, rows, notes)
     write_tables(out, "registration", [table], command)
     label = " (simulated)" if plan.simulated else ""
-    write_whole(out / "registration.png", draw_recall(rows, label))
-    write_whole(out / "registration_curves.png", draw_curves(plan.groups, answers, label))
+    if any(row.get("recall_percent") is not None for row in rows):
+        write_whole(out / "registration.png", draw_recall(rows, label))
+        write_whole(out / "registration_curves.png", draw_curves(plan.groups, answers, label))
     if bench.iterations:
         write_whole(out / "registration_ransac.png", draw_iterations(rows, label))
     return table
 
 
 def _attempts(
-    bench: RegistrationBench, plan: Plan, method: str, progress: Progress
-) -> tuple[str, list[list[Attempt]]]:
+    bench: RegistrationBench, plan: Plan, methods: Sequence[str], progress: Progress
+) -> tuple[str, dict[str, list[list[Attempt]]]]:
+    """Run one process; return its status and, where it is ok, attempts by method and group."""
+    groups = [bench.pairs_for(methods, group.pairs) for group in plan.groups]
     task: dict[str, Any] = {
-        "method": method,
+        "methods": methods,
         "config": bench.config.model_dump(),
         "seed": bench.seed,
         "drives": {key: asdict(drive) for key, drive in plan.places.items()},
-        "pairs": [asdict(pair) for group in plan.groups for pair in group.pairs],
+        "pairs": [asdict(pair) for pairs in groups for pair in pairs],
     }
     with tempfile.TemporaryDirectory(prefix="sl3d_bench_") as folder:
-        end = run_runner(RUNNER, Path(folder), task, lambda steps: progress(method, steps))
+        end = run_runner(RUNNER, Path(folder), task, lambda steps: progress(methods[0], steps))
     if end.problem:
-        return end.problem, []
-    left = iter(to_attempts(end.answer["attempts"]))
-    return "ok", [[next(left) for _ in group.pairs] for group in plan.groups]
+        return end.problem, {}
+    found = {}
+    for k, method in enumerate(methods):
+        left = iter(to_attempts([tree[k] for tree in end.answer["attempts"]]))
+        found[method] = [[next(left) for _ in pairs] for pairs in groups]
+    return "ok", found
 
 
 def _rows(
     plan: Plan, method: str, status: str, attempts: Sequence[Sequence[Attempt]]
 ) -> Iterator[Row]:
     for k, group in enumerate(plan.groups):
-        row = {
+        row: dict[str, Any] = {
             "pairs_of": group.name,
             "kind": "simulated" if plan.simulated else "real",
             "method": method,
             "status": status,
         }
-        truths = [pair.truth for pair in group.pairs]
-        yield {**row, **figures(attempts[k], truths)} if attempts else row
+        if attempts:
+            truths = [pair.truth for pair in group.pairs[: len(attempts[k])]]
+            row.update(figures(attempts[k], truths))
+        yield row

@@ -41,6 +41,7 @@ NOTES = (
     "confidence 0.999; ICP point to plane from the identity. KISS-Matcher: 0.3 m voxels, an answer "
     "counts from 5 inliers.",
 )
+PEER_PAIRS = "Peers on the first {} pairs of each row's group only."
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,7 +4,7 @@ A method is given points of two scans, (N, 3) metres each, and no first guess.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,23 +44,31 @@ class Attempt:
 
 
 Method = Callable[[Points, Points], Attempt]
+Pairwise = Callable[[Points, Points], list[Attempt]]  # one attempt a method
 
 
-def ours(config: SlamConfig, with_clouds: bool) -> Method:
-    """Return this package's registration, verified on the clouds or by lines alone."""
+def ours(config: SlamConfig) -> Pairwise:
+    """Return this package's registration, verified on the clouds and by lines alone.
+
+    The two share the lines of a pair; each is charged for them.
+    """
     from sl3d_slam.lines.extract import LineExtractor
     from sl3d_slam.registration import register_lines
 
     extractor = LineExtractor(config.lines)
 
-    def register(source: Points, target: Points) -> Attempt:
+    def register(source: Points, target: Points) -> list[Attempt]:
         start_s = time.perf_counter()
         lines = extractor.extract(source), extractor.extract(target)
-        middle_s = time.perf_counter()
-        clouds = (source, target) if with_clouds else None
-        answer: Registration = register_lines(*lines, clouds=clouds, settings=config.matching)
-        pose = answer.T_target_source if answer.success else None
-        return Attempt(pose, middle_s - start_s, time.perf_counter() - middle_s)
+        extract_s = time.perf_counter() - start_s
+        attempts = []
+        for clouds in ((source, target), None):
+            start_s = time.perf_counter()
+            answer: Registration = register_lines(*lines, clouds=clouds, settings=config.matching)
+            match_s = time.perf_counter() - start_s
+            pose = answer.T_target_source if answer.success else None
+            attempts.append(Attempt(pose, extract_s, match_s))
+        return attempts
 
     return register
 
@@ -144,8 +152,10 @@ def icp() -> Method:
     return register
 
 
-def make_method(name: str, config: SlamConfig, seed: int) -> Method:
-    """Return a method by its name in the tables; ``fpfh-ransac@N`` runs N iterations.
+def make_methods(names: Sequence[str], config: SlamConfig, seed: int) -> Pairwise:
+    """Return what runs in one process: both of ours, or one peer by its name in the tables.
+
+    ``fpfh-ransac@N`` runs N iterations.
 
     Raises
     ------
@@ -154,12 +164,15 @@ def make_method(name: str, config: SlamConfig, seed: int) -> Method:
     InputError
         where there is no such method.
     """
+    if tuple(names) == OURS:
+        return ours(config)
+    peer = _make_peer(names[0], seed)
+    return lambda source, target: [peer(source, target)]
+
+
+def _make_peer(name: str, seed: int) -> Method:
     base, _, iterations = name.partition("@")
     match base:
-        case "sl3d-slam":
-            return ours(config, with_clouds=True)
-        case "sl3d-slam, lines alone":
-            return ours(config, with_clouds=False)
         case "kiss-matcher":
             return kiss_matcher()
         case "fpfh-ransac":

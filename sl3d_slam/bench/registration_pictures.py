@@ -81,7 +81,7 @@ def draw_curves(
             for method, attempts in answers.items():
                 if "@" in method:
                     continue
-                errors = measure(attempts[k], truths)
+                errors = measure(attempts[k], truths[: len(attempts[k])])
                 style = {"color": METHOD_COLOURS.get(method, PURPLE), "label": method}
                 turned_right = errors.rre_deg <= SUCCESS_DEG
                 metres = recall_curve(errors.rte_m, turned_right, allowed_m)

@@ -32,9 +32,11 @@ class RegistrationBench:
     drives : what pairs come from.
     distances_m : how far apart the scans of a pair are, within 1 m.
     num_pairs : pairs for each distance, over all drives together.
+    peer_pairs : peers register the first so many of each distance, as evenly from the drives as all
+        are; None lets them register all.
     pair_list : a public list of pairs, taken in place of ``distances_m``; ``drives`` then holds one
         KITTI root that has its sequences.
-    different : a drive through other places: its scans against those of ``drives``.
+    different : drives through other places: their scans against those of ``drives``.
     truth : ``given`` takes the drives' true poses; ``odometry`` takes KISS-ICP's, which are better
         over tens of metres than a GPS, and leaves out pairs with much travel between them.
     tilt_deg : roll and pitch of both sensors, each up to this either way.
@@ -44,19 +46,36 @@ class RegistrationBench:
     drives: Sequence[Drive]
     distances_m: Sequence[float] = (10.0, 20.0, 30.0, 40.0)
     num_pairs: int = 200
+    peer_pairs: int | None = None
     seed: int = 0
     peers: Sequence[str] = PEERS
     pair_list: Path | None = None
-    different: Drive | None = None
+    different: Sequence[Drive] = ()
     truth: str = "given"
     tilt_deg: float = 0.0
     iterations: Sequence[int] = ()
     config: SlamConfig = field(default_factory=SlamConfig)
 
     @property
-    def methods(self) -> list[str]:
-        """All methods, ours first."""
-        return [*OURS, *self.peers, *(f"fpfh-ransac@{n}" for n in self.iterations)]
+    def processes(self) -> list[tuple[str, ...]]:
+        """The methods of each process; ours share one and come first."""
+        return [OURS, *((peer,) for peer in self.peers), *((name,) for name in self._curve)]
+
+    @property
+    def _curve(self) -> list[str]:
+        return [f"fpfh-ransac@{n}" for n in self.iterations]
+
+    def pairs_for(self, methods: Sequence[str], pairs: Sequence[ScanPair]) -> Sequence[ScanPair]:
+        """Return which of a group's pairs the methods of one process register."""
+        return pairs if tuple(methods) == OURS else pairs[: self.peer_pairs]
+
+    def num_steps(self, plan: "Plan") -> int:
+        """Return over how many pairs the processes go, all together."""
+        return sum(
+            len(self.pairs_for(methods, group.pairs))
+            for methods in self.processes
+            for group in plan.groups
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,10 +93,6 @@ class Plan:
     places: Mapping[int, Drive]
     groups: Sequence[PairGroup]
     simulated: bool
-
-    def num_pairs(self) -> int:
-        """Return how many pairs each method registers."""
-        return sum(len(group.pairs) for group in self.groups)
 
 
 def make_plan(bench: RegistrationBench) -> Plan:
@@ -101,10 +116,10 @@ def make_plan(bench: RegistrationBench) -> Plan:
         for distance_m in bench.distances_m
     ]
     places = dict(enumerate(bench.drives))
-    if bench.different is not None:
-        places[len(places)] = bench.different
-        other = bench.different.open(bench.config.input)
-        groups.append(PairGroup("different places", _different(opened, other, bench, rng)))
+    if bench.different:
+        places = dict(enumerate([*bench.drives, *bench.different]))
+        others = [drive.open(bench.config.input) for drive in bench.different]
+        groups.append(PairGroup("different places", _different(opened, others, bench, rng)))
     return Plan(places, groups, any(drive.simulated for drive in opened))
 
 
@@ -151,13 +166,21 @@ def _apart(
 
 
 def _different(
-    opened: Sequence[Dataset], other: Dataset, bench: RegistrationBench, rng: np.random.Generator
+    opened: Sequence[Dataset],
+    others: Sequence[Dataset],
+    bench: RegistrationBench,
+    rng: np.random.Generator,
 ) -> list[ScanPair]:
+    """Return scans of either side's drives, each drive as often as the others of its side."""
     pairs = []
-    for _ in range(bench.num_pairs):
-        drive = int(rng.integers(len(opened)))
-        source, target = int(rng.integers(len(opened[drive]))), int(rng.integers(len(other)))
-        pairs.append(ScanPair(drive, source, len(opened), target, None, *_turns(bench, rng)))
+    for k in range(bench.num_pairs):
+        drive, place = int(rng.integers(len(opened))), k % len(others)
+        source, target = (
+            int(rng.integers(len(opened[drive]))),
+            int(rng.integers(len(others[place]))),
+        )
+        other = len(opened) + place
+        pairs.append(ScanPair(drive, source, other, target, None, *_turns(bench, rng)))
     return pairs
 
 

@@ -1,4 +1,4 @@
-"""One registration method over a list of pairs, in a process of its own.
+"""One peer, or both methods of ours, over a list of pairs, in a process of its own.
 
 A runner as :mod:`sl3d_slam.bench.process` describes it; a step is a pair.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from sl3d_slam.bench.drives import Drive
 from sl3d_slam.bench.pairs import ScanPair
 from sl3d_slam.bench.process import serve
-from sl3d_slam.bench.registration_methods import Attempt, Method, make_method
+from sl3d_slam.bench.registration_methods import Attempt, Pairwise, make_methods
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import Points, transform_points
@@ -28,24 +28,24 @@ WARM_UP_PAIRS = 2
 def run_task(tree: dict[str, Any], folder: Path, step: Callable[[], None]) -> dict[str, Any]:
     """Register every pair; the first two are done twice, so that compiling is not timed."""
     config = SlamConfig.model_validate(tree["config"])
-    method = make_method(tree["method"], config, tree["seed"])
+    methods = make_methods(tree["methods"], config, tree["seed"])
     pairs = [to_pair(entry) for entry in tree["pairs"]]
     drives = {int(key): Drive(**drive).open(config.input) for key, drive in tree["drives"].items()}
     read = _reader(drives)
     for pair in pairs[:WARM_UP_PAIRS]:
-        attempt(method, pair, read)
+        attempt(methods, pair, read)
     attempts = []
     for pair in pairs:
-        attempts.append(asdict(attempt(method, pair, read)))
+        attempts.append([asdict(one) for one in attempt(methods, pair, read)])
         step()
     return {"attempts": attempts}
 
 
-def attempt(method: Method, pair: ScanPair, read: Callable[[int, int], Points]) -> Attempt:
-    """Register one pair of turned scans."""
+def attempt(methods: Pairwise, pair: ScanPair, read: Callable[[int, int], Points]) -> list[Attempt]:
+    """Register one pair of turned scans by each method."""
     source = transform_points(pair.T_turned_source, read(pair.source_drive, pair.source))
     target = transform_points(pair.T_turned_target, read(pair.target_drive, pair.target))
-    return method(np.ascontiguousarray(source), np.ascontiguousarray(target))
+    return methods(np.ascontiguousarray(source), np.ascontiguousarray(target))
 
 
 def _reader(drives: dict[int, Dataset]) -> Callable[[int, int], Points]:

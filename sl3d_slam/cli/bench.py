@@ -75,8 +75,12 @@ def registration(
         Path | None, typer.Option(metavar="FILE", help="A public list of pairs instead.")
     ] = None,
     truth: TruthOption = "given",
+    peer_pairs: Annotated[
+        int | None, typer.Option(min=1, help="Peers on the first so many of them only.")
+    ] = None,
     different: Annotated[
-        Path | None, typer.Option(metavar="DATA", help="A drive through other places.")
+        list[Path] | None,
+        typer.Option(metavar="DATA", help="A drive through other places; may be repeated."),
     ] = None,
     tilt: Annotated[float, typer.Option(min=0, max=45, help="Degrees of roll and pitch.")] = 0.0,
     ransac_iterations: Annotated[
@@ -100,14 +104,15 @@ def registration(
         seed=seed,
         peers=names(peers),
         pair_list=pair_list,
-        different=None if different is None else Drive(str(different.resolve())),
+        peer_pairs=peer_pairs,
+        different=[Drive(str(path.resolve())) for path in different or ()],
         truth=truth,
         tilt_deg=tilt,
         iterations=[int(n) for n in numbers("--ransac-iterations", ransac_iterations)],
         config=load_config(config, overrides or ()),
     )
     plan = make_plan(what)
-    with Meter(plan.num_pairs() * len(what.methods), "pairs", quiet) as meter:
+    with Meter(what.num_steps(plan), "pairs", quiet) as meter:
         table = run(what, plan, out, command(), meter.advance)
     show([table], out, quiet)
 
