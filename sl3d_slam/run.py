@@ -163,8 +163,9 @@ class Run:
 
 
 def peak_rss_mb() -> float:
-    """Return the most memory this process has held, in megabytes."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    """Return the most memory this process has held, and the largest of its ended workers, in MB."""
+    whose = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    peak = sum(resource.getrusage(who).ru_maxrss for who in whose)
     return peak / 1e6 if sys.platform == "darwin" else peak / 1e3
 
 
