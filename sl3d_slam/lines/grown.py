@@ -1,7 +1,7 @@
 """Standing lines grown from the points that the network calls lines, fitted on the full scan."""
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float, Float32, Float64, Int64
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -24,6 +24,7 @@ MIN_SHEET_VOXELS = 8
 MIN_CORNER_SINE = 0.5
 MAX_FIT_SCORE = 0.3
 FULL_LENGTH_M = 3.0
+FILL_M = 0.6
 
 
 def grow_uprights(
@@ -31,22 +32,30 @@ def grow_uprights(
     points: Float32[np.ndarray, "M 4"],
     probability: Float32[np.ndarray, "M"],
     min_length_m: float,
+    taken: Float64[np.ndarray, "L 2"] = np.zeros((0, 2)),  # noqa: B008  (never written)
 ) -> list[tuple[Upright, LineKind]]:
     """Return the standing lines that confident points form, with what they stand on.
 
     Points above a probability of 0.75 (training on balanced classes puts it high) are joined within
     0.5 m seen from above and with no larger gap in height than beams leave. What stands free is
     fitted as a pole; else the line is where the two wall planes beside it meet, or, without two,
-    where the confident points stand.
+    where the confident points stand. Places within 0.6 m of those ``taken``, seen from above, are
+    left alone.
     """
     confident = np.flatnonzero(probability > MIN_PROBABILITY)
     found = []
     for members in _join(points[confident, :3].astype(np.float64)):
         rows = confident[members]
+        if not _is_free(points[rows, :2].mean(axis=0), taken):
+            continue  # most groups: bits of what geometry found
         line = _fit(scene, points[rows].astype(np.float64), probability[rows], min_length_m)
-        if line is not None:
+        if line is not None and _is_free(line[0].endpoints.mean(axis=0)[:2], taken):
             found.append(line)
     return found
+
+
+def _is_free(place: Float[np.ndarray, "2"], taken: Float64[np.ndarray, "L 2"]) -> bool:
+    return bool(np.linalg.norm(taken - place, axis=1).min(initial=np.inf) > FILL_M)
 
 
 def _join(points: Float64[np.ndarray, "N 3"]) -> list[Int64[np.ndarray, "_"]]:

@@ -1,9 +1,10 @@
 """Lines of one scan with the network: it ranks and describes what is proposed, and adds to it."""
 
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 from scipy.spatial import cKDTree
 
 from sl3d_slam.config import LineSettings
@@ -19,7 +20,6 @@ from sl3d_slam.types import LineKind, LineSet
 REACH_M = 0.35
 OVERSHOOT_M = 0.2
 SAME_LINE_M = 0.4
-FILL_M = 0.6
 PRIOR_POINTS = 2.0
 
 
@@ -32,12 +32,11 @@ def learned_lines(points_lidar: Points, settings: LineSettings, network: Network
     along each, times the root of the fit's score, and by their mean descriptor.
     """
     scene = make_scene(points_lidar, settings)
-    points = network_points(points_lidar, network.settings)
+    points = network_points(points_lidar, network.settings, up=scene.R_level_lidar[2])
     points[:, :3] = points[:, :3] @ scene.R_level_lidar.T.astype(np.float32)
     inference = network.infer(points)
-    uprights, kinds = _candidates(scene, points, inference.probability, settings)
+    uprights, kinds, members = _candidates(scene, points, inference.probability, settings)
     endpoints = _segments(uprights)
-    members = points_along(endpoints, points)
     fits = np.array([upright.score for upright in uprights])
     scores = np.sqrt(fits) * _mean_probability(members, inference.probability)
     order = _best_apart(endpoints, scores, settings.max_lines)
@@ -55,20 +54,20 @@ def _candidates(
     points: Float32[np.ndarray, "M 4"],
     probability: Float32[np.ndarray, "M"],
     settings: LineSettings,
-) -> tuple[list[Upright], list[LineKind]]:
-    """Return geometry's lines, and those grown from confident points that none of them explains."""
+) -> tuple[list[Upright], list[LineKind], list[Int64[np.ndarray, "_"]]]:
+    """Return geometry's lines, those grown from points that none of them explains, their points."""
     uprights, kinds = find_uprights(scene, settings)
     proposed = _segments(uprights)
+    tree = cKDTree(points[:, :2])
+    members = points_along(proposed, points, tree)
     unexplained = probability.copy()
-    for rows in points_along(proposed, points):
+    for rows in members:
         unexplained[rows] = 0.0
-    places = proposed.mean(axis=1)[:, :2]
-    for upright, kind in grow_uprights(scene, points, unexplained, settings.min_length_m):
-        place = upright.endpoints.mean(axis=0)[:2]
-        if np.linalg.norm(places - place, axis=1).min(initial=np.inf) > FILL_M:
-            uprights.append(upright)
-            kinds.append(kind)
-    return uprights, kinds
+    taken = proposed.mean(axis=1)[:, :2]
+    grown = grow_uprights(scene, points, unexplained, settings.min_length_m, taken)
+    added = [upright for upright, _ in grown]
+    members += points_along(_segments(added), points, tree)
+    return [*uprights, *added], [*kinds, *(kind for _, kind in grown)], members
 
 
 def _segments(uprights: Sequence[Upright]) -> Float64[np.ndarray, "L 2 3"]:
@@ -76,31 +75,40 @@ def _segments(uprights: Sequence[Upright]) -> Float64[np.ndarray, "L 2 3"]:
 
 
 def points_along(
-    endpoints: Float64[np.ndarray, "L 2 3"], points: Float32[np.ndarray, "M 4"]
+    endpoints: Float64[np.ndarray, "L 2 3"],
+    points: Float32[np.ndarray, "M 4"],
+    tree: cKDTree | None = None,
 ) -> list[Int64[np.ndarray, "_"]]:
-    """Return for each standing segment the points within 0.35 m beside it."""
+    """Return for each standing segment the points within 0.35 m beside it.
+
+    ``tree`` holds the points seen from above, where that is built already.
+    """
     if len(endpoints) == 0 or len(points) == 0:
         return [np.zeros(0, np.int64)] * len(endpoints)
+    tree = cKDTree(points[:, :2]) if tree is None else tree
     middle = endpoints.mean(axis=1)
     lean = 0.5 * np.linalg.norm(endpoints[:, 1, :2] - endpoints[:, 0, :2], axis=1)
-    near = cKDTree(points[:, :2]).query_ball_point(middle[:, :2], REACH_M + lean)
-    return [
-        _beside(segment, points, np.sort(np.asarray(rows, np.int64)))
-        for segment, rows in zip(endpoints, near, strict=True)
-    ]
+    near = tree.query_ball_point(middle[:, :2], REACH_M + lean, return_sorted=True)
+    line = np.repeat(np.arange(len(near)), [len(rows) for rows in near])
+    rows = np.fromiter(chain.from_iterable(near), np.int64, len(line))
+    beside = _beside(endpoints[line], points[rows])
+    stops = np.cumsum(np.bincount(line[beside], minlength=len(near)))
+    return np.split(rows[beside], stops[:-1])
 
 
 def _beside(
-    segment: Float64[np.ndarray, "2 3"],
-    points: Float32[np.ndarray, "M 4"],
-    rows: Int64[np.ndarray, "P"],
-) -> Int64[np.ndarray, "Q"]:
-    low, high = segment[np.argsort(segment[:, 2])]
-    z = points[rows, 2]
-    share = np.clip((z - low[2]) / max(high[2] - low[2], 1e-6), 0.0, 1.0)[:, None]
-    aside = points[rows, :2] - (low[:2] + share * (high[:2] - low[:2]))
-    inside = (z > low[2] - OVERSHOOT_M) & (z < high[2] + OVERSHOOT_M)
-    return rows[inside & (np.einsum("ij,ij->i", aside, aside) < REACH_M**2)]
+    segments: Float64[np.ndarray, "P 2 3"], points: Float32[np.ndarray, "P 4"]
+) -> Bool[np.ndarray, "P"]:
+    """Tell which of the points stand along the segment that each is paired with."""
+    upward = segments[:, 1, 2] >= segments[:, 0, 2]
+    low = np.where(upward[:, None], segments[:, 0], segments[:, 1])
+    high = np.where(upward[:, None], segments[:, 1], segments[:, 0])
+    z = points[:, 2]
+    share = np.clip((z - low[:, 2]) / np.maximum(high[:, 2] - low[:, 2], 1e-6), 0.0, 1.0)
+    aside = points[:, :2] - (low[:, :2] + share[:, None] * (high[:, :2] - low[:, :2]))
+    inside = (z > low[:, 2] - OVERSHOOT_M) & (z < high[:, 2] + OVERSHOOT_M)
+    result: Bool[np.ndarray, P] = inside & (np.einsum("ij,ij->i", aside, aside) < REACH_M**2)
+    return result
 
 
 def _mean_probability(

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from sl3d_slam.lines.network.edge_max import edge_max
 from sl3d_slam.lines.network.gather import gather_max
 
-PIECE = 512
+PIECE = 128
 
 
 class EdgeConv(nn.Module):
@@ -67,6 +67,5 @@ class OffsetConv(nn.Module):
         return nn.functional.relu(self.norm(largest))
 
     def _largest(self, offsets: Float32[Tensor, "M k C"]) -> Float32[Tensor, "M D"]:
-        edges = self.second(nn.functional.relu(self.first(offsets.flatten(0, 1))))  # (M k, D)
-        rows = torch.arange(len(edges), device=edges.device).view(offsets.shape[:2])
-        return gather_max(edges, rows)
+        edges: Tensor = self.second(nn.functional.relu(self.first(offsets)))  # (M, k, D)
+        return edges.amax(dim=1)

@@ -1,7 +1,7 @@
 """The points of a scan that the network sees."""
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 
 from sl3d_slam.geometry.ground import heights_above_ground, up_direction
 from sl3d_slam.lines.grid import voxel_means
@@ -13,19 +13,23 @@ CLEARANCE_M = 0.2
 
 
 def network_points(
-    points_lidar: np.ndarray, settings: NetworkSettings, max_points: int | None = None
+    points_lidar: np.ndarray,
+    settings: NetworkSettings,
+    max_points: int | None = None,
+    up: Float64[np.ndarray, "3"] | None = None,
 ) -> Float32[np.ndarray, "M 4"]:
     """Return x, y, z of voxel means of a scan (N, 3) and their height above the ground, in metres.
 
     The ``max_points`` nearest the sensor in the frame of the scan, ordered by voxel; the same
     whatever the order of the scan's points, but for the rounding of sums. Returns within 1.5 m (the
-    vehicle) are left out, and the ground where the settings say so.
+    vehicle) are left out, and the ground where the settings say so. ``up`` is the direction against
+    gravity in the lidar frame, where it is known already.
     """
     points = np.ascontiguousarray(points_lidar, dtype=np.float64)
     means = voxel_means(points, settings.voxel_size_m, MIN_RANGE_M, MAX_RANGE_M)[0]
     if len(means) == 0:
         return np.zeros((0, 4), np.float32)
-    heights = heights_above_ground(means, up_direction(means))
+    heights = heights_above_ground(means, up_direction(means) if up is None else up)
     sample = np.column_stack([means, heights]).astype(np.float32)
     if settings.drop_ground:
         sample = sample[heights > CLEARANCE_M]
