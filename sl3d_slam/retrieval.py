@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from sl3d_slam.config import MatchingSettings
 from sl3d_slam.geometry.se3 import Transform, from_yaw, invert
-from sl3d_slam.loops.landmark_index import LandmarkIndex
+from sl3d_slam.loops.landmark_index import MAX_LINES, LandmarkIndex
 from sl3d_slam.mapping.places import Places
 from sl3d_slam.matching.prepared import PreparedView
 from sl3d_slam.matching.seeds import distinct
@@ -37,15 +37,12 @@ class MapRetrieval:
         line_map = places.line_map
         max_angle_rad = np.radians(2.0 * settings.angle_tolerance_deg)
         self._landmarks = find_verticals(line_map.lines, places.T_level_map, max_angle_rad)
-        number = np.full(len(line_map), -1)
-        number[self._landmarks.indices] = np.arange(len(self._landmarks))
-        strength = -self._landmarks.weights
-        standing = (number[seen] for seen in places.neighbourhoods())
-        strongest = (
-            rows[np.argsort(strength[rows], kind="stable")]
-            for rows in (rows[rows >= 0] for rows in standing)
-        )
-        self.index = LandmarkIndex(self._landmarks.xy, strongest)
+        standing = self._landmarks.indices
+        order = np.argsort(-self._landmarks.weights, kind="stable")
+        ranks, number = np.full((2, len(line_map) + 1), -1)  # the last stands for no landmark
+        ranks[standing[order]] = number[standing] = np.arange(len(standing))
+        members = number[places.strongest(ranks[:-1], MAX_LINES)].astype(np.int32)
+        self.index = LandmarkIndex(self._landmarks.xy, members)
         self._tree = cKDTree(self._landmarks.xy)
 
     def guesses(self, query: PreparedView, limit: int) -> list[MapGuess]:

@@ -6,61 +6,51 @@ as many as a fixed budget of comparisons allows: in a larger map each triangle h
 fewer are tried, but a wrong vote finds ever more room to be alone in, and a true one never is.
 """
 
-from collections.abc import Iterable, Sequence
-
 import numpy as np
-from jaxtyping import Float64, Int32, Int64
+from jaxtyping import Float64, Int32
 
+from sl3d_slam.loops.landmark_triangles import ID_BITS, unique_triads
 from sl3d_slam.loops.landmark_votes import (
-    NUM_BUCKETS,
     SIDE_TOLERANCE_M,
-    buckets_of,
+    TriangleTable,
     count_equals,
     gather_cells,
     lay_on_equals,
+    make_table,
 )
-from sl3d_slam.loops.triangles import all_triangles, local_triangles
+from sl3d_slam.loops.triangles import all_triangles
 
 NEIGHBOURS = 9
 MAX_LINES = 40
-ID_BITS = 21
-CHUNK = 2048
 # a 30th of all possible ones still put the true pose first, for 16 of 16 scans in 10,000 lines
 MAX_COMPARISONS = 800_000
 MAX_VOTES = 400_000
 NUM_CELLS = 160
 
-Triads = Int32[np.ndarray, "T 3"]  # landmark numbers: opposite the longest side first
-
 
 class LandmarkIndex:
     """The triangles of a map's standing lines, by their sides."""
 
-    def __init__(
-        self, xy: Float64[np.ndarray, "L 2"], neighbourhoods: Iterable[Int64[np.ndarray, "M"]]
-    ) -> None:
+    def __init__(self, xy: Float64[np.ndarray, "L 2"], members: Int32[np.ndarray, "P M"]) -> None:
         """Index lines seen from above, metres in one level frame of the map.
 
-        ``neighbourhoods`` are lines that one sensor sees together, strongest first; each gives the
-        triangles of its first 40 with their near neighbours.
+        ``members`` are lines that one sensor sees together, a row each, strongest first, -1 after
+        the last; each row gives the triangles of its first 40 with their near neighbours.
         """
         if len(xy) >= 1 << ID_BITS:
             raise ValueError(f"a map of more than {(1 << ID_BITS) - 1} standing lines")
         self._xy = np.ascontiguousarray(xy, np.float64)
-        triads = _unique_triads(self._xy, neighbourhoods)
-        bucket = buckets_of(self._xy, triads)
-        order = np.argsort(bucket, kind="stable")
-        self._triads: Triads = triads[order]
-        self._starts = np.searchsorted(bucket[order], np.arange(NUM_BUCKETS + 1)).astype(np.int64)
+        triads = unique_triads(self._xy, members[:, :MAX_LINES], NEIGHBOURS)
+        self._table: TriangleTable = make_table(self._xy, triads)
 
     def __len__(self) -> int:
         """Return the number of stored triangles."""
-        return len(self._triads)
+        return len(self._table.triads)
 
     @property
     def num_bytes(self) -> int:
         """Return the memory that the tables take."""
-        return int(self._triads.nbytes + self._starts.nbytes + self._xy.nbytes)
+        return int(self._xy.nbytes + sum(array.nbytes for array in self._table))
 
     def query(
         self, xy: Float64[np.ndarray, "V 2"], weights: Float64[np.ndarray, "V"], limit: int
@@ -72,33 +62,10 @@ class LandmarkIndex:
         """
         xy = np.ascontiguousarray(xy[np.argsort(-weights, kind="stable")[:MAX_LINES]])
         triangles = all_triangles(xy, SIDE_TOLERANCE_M)
-        counts = count_equals(xy, triangles, self._starts)
+        counts = count_equals(xy, triangles, self._table)
         rarest = np.argsort(counts, kind="stable")
         affordable = np.searchsorted(np.cumsum(counts[rarest]), MAX_COMPARISONS, side="right")
         chosen = triangles[rarest[:affordable]]
-        votes = lay_on_equals(xy, chosen, self._xy, self._triads, self._starts, MAX_VOTES)
+        votes = lay_on_equals(xy, chosen, self._xy, self._table, MAX_VOTES)
         cells = gather_cells(votes, min(NUM_CELLS, 4 * limit))
         return cells[np.argsort(-cells[:, 3], kind="stable")[:limit]]
-
-
-def _unique_triads(
-    xy: Float64[np.ndarray, "L 2"], neighbourhoods: Iterable[Int64[np.ndarray, "M"]]
-) -> Triads:
-    """Return the triangles of all neighbourhoods, each once, sorted by their lines."""
-    keys, batch = [np.zeros(0, np.int64)], []
-    for members in neighbourhoods:
-        members = members[:MAX_LINES]
-        batch.append(members[local_triangles(xy[members], NEIGHBOURS)])
-        if len(batch) == CHUNK:
-            keys.append(_unique_keys(batch))
-            batch = []
-    keys.append(_unique_keys(batch))
-    key = np.unique(np.concatenate(keys))
-    mask = (1 << ID_BITS) - 1
-    rows = [key >> (2 * ID_BITS), (key >> ID_BITS) & mask, key & mask]
-    return np.stack(rows, axis=1).astype(np.int32)
-
-
-def _unique_keys(batch: Sequence[np.ndarray]) -> Int64[np.ndarray, "T"]:
-    rows = np.concatenate([np.zeros((0, 3), np.int64), *batch])
-    return np.unique((rows[:, 0] << (2 * ID_BITS)) | (rows[:, 1] << ID_BITS) | rows[:, 2])

@@ -1,9 +1,9 @@
 """Compiled parts of the landmark index: equal triangles, the poses they give, where those agree."""
 
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Float64, Int32, Int64
+from jaxtyping import Float64, Int32, Int64, UInt8
 from numba import njit
 
 from sl3d_slam.loops.triangles import MAX_SIDE_M, sides_m, turns_left
@@ -12,38 +12,50 @@ SIDE_TOLERANCE_M = 0.35
 CELL_M = 2 * SIDE_TOLERANCE_M
 LEVELS = int(MAX_SIDE_M / CELL_M) + 3
 NUM_BUCKETS = 2 * LEVELS**3
+CODES = 256  # steps of a side within its cell
+NEAR_CODES = CODES * SIDE_TOLERANCE_M / CELL_M
 SHIFT_CELL_M = 2.0
 NUM_YAWS = 60
 YAW_CELL_RAD = 2 * np.pi / NUM_YAWS
 CELL_RANGE = 1 << 24  # of shift cells along each axis, enough for 16,000 km either way
 
 
-def buckets_of(
-    xy: Float64[np.ndarray, "L 2"], triads: Int32[np.ndarray, "T 3"]
-) -> Int64[np.ndarray, "T"]:
-    """Return the table's cell of each triangle."""
-    return _buckets_of(xy, triads)
+class TriangleTable(NamedTuple):
+    """Stored triangles, sorted by cells of their sides.
+
+    Attributes
+    ----------
+    triads : (S, 3) landmark numbers, opposite the longest side first.
+    codes : (S, 3) where in its cell each side lies, in 256ths of the cell.
+    starts : (NUM_BUCKETS + 1,) where the triangles of each cell begin.
+    """
+
+    triads: Int32[np.ndarray, "S 3"]
+    codes: UInt8[np.ndarray, "S 3"]
+    starts: Int64[np.ndarray, "B"]
+
+
+def make_table(xy: Float64[np.ndarray, "L 2"], triads: Int32[np.ndarray, "S 3"]) -> TriangleTable:
+    """Sort triangles into the table; within a cell they keep their order."""
+    return TriangleTable(*_make_table(xy, triads))
 
 
 def count_equals(
-    xy: Float64[np.ndarray, "V 2"],
-    triangles: Int32[np.ndarray, "T 3"],
-    starts: Int64[np.ndarray, "B"],
+    xy: Float64[np.ndarray, "V 2"], triangles: Int32[np.ndarray, "T 3"], table: TriangleTable
 ) -> Int64[np.ndarray, "T"]:
     """Return how many stored triangles lie in the cells around each of a query's."""
-    return _count_equals(xy, triangles, starts)
+    return _count_equals(xy, triangles, table.starts)
 
 
 def lay_on_equals(
     xy: Float64[np.ndarray, "V 2"],
     triangles: Int32[np.ndarray, "T 3"],
     map_xy: Float64[np.ndarray, "L 2"],
-    triads: Int32[np.ndarray, "S 3"],
-    starts: Int64[np.ndarray, "B"],
+    table: TriangleTable,
     limit: int,
 ) -> Float64[np.ndarray, "P 3"]:
     """Return a planar pose (yaw, x, y) for each stored triangle that equals one of the query's."""
-    return _lay_on_equals(xy, triangles, map_xy, triads, starts, limit)
+    return _lay_on_equals(xy, triangles, map_xy, table, limit)
 
 
 def gather_cells(poses: Float64[np.ndarray, "P 3"], num_cells: int) -> Float64[np.ndarray, "C 4"]:
@@ -68,38 +80,47 @@ def _bucket(i: int, j: int, k: int, left: int) -> int:
 
 @njit(cache=True)
 @no_type_check
-def _buckets_of(xy: np.ndarray, triads: np.ndarray) -> np.ndarray:
-    result = np.empty(len(triads), np.int64)
-    for t in range(len(triads)):
-        i, j, k = triads[t, 0], triads[t, 1], triads[t, 2]
-        a, b, c = sides_m(xy, i, j, k)
-        left = turns_left(xy, i, j, k)
-        result[t] = _bucket(int(a / CELL_M), int(b / CELL_M), int(c / CELL_M), left)
-    return result
+def _cells(xy: np.ndarray, i: int, j: int, k: int) -> tuple[float, float, float]:
+    """Return the sides of a triangle in cells."""
+    a, b, c = sides_m(xy, i, j, k)
+    return a / CELL_M, b / CELL_M, c / CELL_M
 
 
 @njit(cache=True)
 @no_type_check
-def _around(xy: np.ndarray, i: int, j: int, k: int, cells: np.ndarray) -> None:
-    """Name the 8 cells that touch the cube of the tolerance around a triangle's sides."""
-    sides = sides_m(xy, i, j, k)
-    left = turns_left(xy, i, j, k)
-    low = np.empty(3, np.int64)
-    for axis in range(3):
-        low[axis] = int(np.floor(sides[axis] / CELL_M - 0.5))
-    for s in range(8):
-        cells[s] = _bucket(low[0] + (s & 1), low[1] + ((s >> 1) & 1), low[2] + (s >> 2), left)
+def _make_table(xy: np.ndarray, triads: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    buckets = np.empty(len(triads), np.int32)
+    starts = np.zeros(NUM_BUCKETS + 1, np.int64)
+    for t in range(len(triads)):
+        i, j, k = triads[t, 0], triads[t, 1], triads[t, 2]
+        a, b, c = _cells(xy, i, j, k)
+        buckets[t] = _bucket(int(a), int(b), int(c), turns_left(xy, i, j, k))
+        starts[buckets[t] + 1] += 1
+    starts = np.cumsum(starts)
+    ends = starts[:-1].copy()
+    rows, codes = np.empty((len(triads), 3), np.int32), np.empty((len(triads), 3), np.uint8)
+    for t in range(len(triads)):
+        row = ends[buckets[t]]
+        ends[buckets[t]] += 1
+        rows[row] = triads[t]
+        a, b, c = _cells(xy, triads[t, 0], triads[t, 1], triads[t, 2])
+        codes[row, 0] = int((a - int(a)) * CODES)
+        codes[row, 1] = int((b - int(b)) * CODES)
+        codes[row, 2] = int((c - int(c)) * CODES)
+    return rows, codes, starts
 
 
 @njit(cache=True)
 @no_type_check
 def _count_equals(xy: np.ndarray, triangles: np.ndarray, starts: np.ndarray) -> np.ndarray:
     counts = np.zeros(len(triangles), np.int64)
-    cells = np.empty(8, np.int64)
     for t in range(len(triangles)):
-        _around(xy, triangles[t, 0], triangles[t, 1], triangles[t, 2], cells)
+        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        a, b, c = _cells(xy, i, j, k)
+        low = _bucket(int(a - 0.5), int(b - 0.5), int(c - 0.5), turns_left(xy, i, j, k))
         for s in range(8):
-            counts[t] += starts[cells[s] + 1] - starts[cells[s]]
+            cell = low + _bucket(s & 1, (s >> 1) & 1, s >> 2, 0)
+            counts[t] += starts[cell + 1] - starts[cell]
     return counts
 
 
@@ -109,22 +130,32 @@ def _lay_on_equals(
     xy: np.ndarray,
     triangles: np.ndarray,
     map_xy: np.ndarray,
-    triads: np.ndarray,
-    starts: np.ndarray,
+    table: TriangleTable,
     limit: int,
 ) -> np.ndarray:
+    """Compare codes first; the few triangles that pass are looked up."""
+    triads, codes, starts = table
     poses = np.empty((limit, 3))
-    cells = np.empty(8, np.int64)
     n = 0
     for t in range(len(triangles)):
-        _around(xy, triangles[t, 0], triangles[t, 1], triangles[t, 2], cells)
-        a, b, c = sides_m(xy, triangles[t, 0], triangles[t, 1], triangles[t, 2])
+        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        a, b, c = _cells(xy, i, j, k)
+        u, v, w = int(a - 0.5), int(b - 0.5), int(c - 0.5)
+        low = _bucket(u, v, w, turns_left(xy, i, j, k))
         for s in range(8):
-            for entry in range(starts[cells[s]], starts[cells[s] + 1]):
-                triad = triads[entry]
-                d, e, f = sides_m(map_xy, triad[0], triad[1], triad[2])
-                if max(abs(a - d), abs(b - e), abs(c - f)) < SIDE_TOLERANCE_M and n < limit:
-                    _lay_on(xy, triangles[t], map_xy, triad, poses[n])
+            du, dv, dw = s & 1, (s >> 1) & 1, s >> 2
+            cell = low + _bucket(du, dv, dw, 0)
+            first = (a - u - du) * CODES - 0.5
+            second = (b - v - dv) * CODES - 0.5
+            third = (c - w - dw) * CODES - 0.5
+            for entry in range(starts[cell], starts[cell + 1]):
+                if (
+                    abs(first - codes[entry, 0]) < NEAR_CODES
+                    and abs(second - codes[entry, 1]) < NEAR_CODES
+                    and abs(third - codes[entry, 2]) < NEAR_CODES
+                    and n < limit
+                ):
+                    _lay_on(xy, triangles[t], map_xy, triads[entry], poses[n])
                     n += 1
     return poses[:n].copy()
 
@@ -148,7 +179,8 @@ def _lay_on(
         dot += ax * bx + ay * by
         cross += ax * by - ay * bx
     pose[0] = np.arctan2(cross, dot)
-    cosine, sine = np.cos(pose[0]), np.sin(pose[0])
+    length = max(np.sqrt(dot * dot + cross * cross), 1e-12)
+    cosine, sine = dot / length, cross / length
     pose[1] = sx - (cosine * qx - sine * qy)
     pose[2] = sy - (sine * qx + cosine * qy)
 

@@ -1,9 +1,9 @@
 """A map cut into places: what a sensor would see around chosen keyframes, ready for matching."""
 
-from collections.abc import Iterator
+from itertools import chain
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64, Int32, Int64
 from scipy.spatial import cKDTree
 
 from sl3d_slam.geometry.ground import heights_above_ground
@@ -15,12 +15,14 @@ from sl3d_slam.geometry.se3 import (
     transform_points,
 )
 from sl3d_slam.mapping.line_map import LineMap
+from sl3d_slam.mapping.place_members import strongest_members
 from sl3d_slam.types import View
 
 SPACING_M = 6.0
 NEIGHBOURHOOD_M = 18.0
 LINE_RADIUS_M = 55.0
 CLOUD_RADIUS_M = 60.0
+CHUNK = 8192  # places at a time
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -63,10 +65,22 @@ class Places:
         gaps_m = np.hypot(*(middles - position)[:, :2].T)
         return seen[gaps_m < LINE_RADIUS_M]
 
-    def neighbourhoods(self) -> Iterator[Int64[np.ndarray, "M"]]:
-        """Yield the landmarks of each place."""
-        for keyframe in self.keyframes.tolist():
-            yield self.landmarks(keyframe)
+    def strongest(self, ranks: Int64[np.ndarray, "L"], limit: int) -> Int32[np.ndarray, "P M"]:
+        """Return the best-ranked landmarks of each place, a row each, -1 after the last.
+
+        ``ranks`` of the map's landmarks: 0 the best, no two alike, -1 for one that does not count.
+        """
+        middles = self.line_map.lines.endpoints[:, :, :2].mean(axis=1)
+        seen = (self.line_map.offsets, self.line_map.indices)
+        parts = [np.zeros((0, limit), np.int32)]
+        for first in range(0, len(self.keyframes), CHUNK):
+            positions = self._positions[self.keyframes[first : first + CHUNK]]
+            near = self._tree.query_ball_point(positions, NEIGHBOURHOOD_M)
+            starts = np.cumsum([0, *map(len, near)])
+            rows = np.fromiter(chain.from_iterable(near), np.int64, starts[-1])
+            reach = (np.ascontiguousarray(positions[:, :2]), middles, LINE_RADIUS_M)
+            parts.append(strongest_members((starts, rows), seen, ranks, reach, limit))
+        return np.concatenate(parts)
 
     def view(self, keyframe: int) -> View:
         """Return what the map holds around a place, in the place's own frame."""
@@ -84,10 +98,12 @@ def choose_places(line_map: LineMap) -> Int64[np.ndarray, "P"]:
     tree = cKDTree(positions)
     taken = np.zeros(len(positions), np.bool_)
     chosen = []
-    for k in range(len(positions)):
-        if not taken[k]:
-            chosen.append(k)
-            taken[tree.query_ball_point(positions[k], SPACING_M)] = True
+    for first in range(0, len(positions), CHUNK):
+        near = tree.query_ball_point(positions[first : first + CHUNK], SPACING_M)
+        for k, rows in enumerate(near, first):
+            if not taken[k]:
+                chosen.append(k)
+                taken[rows] = True
     return np.array(chosen, np.int64)
 
 

@@ -5,13 +5,16 @@ import pytest
 
 from sl3d_slam.loops import landmark_index
 from sl3d_slam.loops.landmark_index import LandmarkIndex
+from sl3d_slam.loops.landmark_triangles import unique_triads
+from sl3d_slam.loops.triangles import local_triangles
 
 NUM_NEAR = 30
 
 
 def neighbourhoods(xy, centres):
     """What a sensor at each centre sees: the nearest lines, strongest first is nearest first."""
-    return [np.argsort(np.hypot(*(xy - centre).T), kind="stable")[:NUM_NEAR] for centre in centres]
+    rows = [np.argsort(np.hypot(*(xy - centre).T), kind="stable")[:NUM_NEAR] for centre in centres]
+    return np.array(rows, np.int32)
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +70,7 @@ def test_a_mirror_image_is_not_taken_for_the_place(world):
 def test_each_triangle_of_overlapping_neighbourhoods_is_stored_once(world):
     xy, index = world
     near = neighbourhoods(xy, [[150.0, 150.0]])
-    once, again = LandmarkIndex(xy, near), LandmarkIndex(xy, near * 3)
+    once, again = LandmarkIndex(xy, near), LandmarkIndex(xy, np.tile(near, (3, 1)))
     assert len(once) == len(again) > 100
     assert index.num_bytes >= 12 * len(index)
 
@@ -85,6 +88,20 @@ def test_nothing_is_found_with_two_lines_or_in_an_empty_map(world):
     _, index = world
     two = np.array([[0.0, 5.0], [9.0, 0.0]])
     assert index.query(two, np.ones(2), 5).shape == (0, 4)
-    empty = LandmarkIndex(np.zeros((0, 2)), [])
+    empty = LandmarkIndex(np.zeros((0, 2)), np.zeros((0, 40), np.int32))
     many = np.random.default_rng(0).uniform(-30, 30, (20, 2))
     assert empty.query(many, np.ones(20), 5).shape == (0, 4)
+
+
+def test_the_index_stores_the_triangles_of_each_neighbourhood_and_no_others(world):
+    """Against the slow way: triangles of one neighbourhood at a time, joined in a set."""
+    xy, _ = world
+    rows = neighbourhoods(xy, [[100.0, 100.0], [108.0, 104.0], [250.0, 40.0]])
+    rows[1, 20:] = -1
+    expected = set()
+    for members in rows:
+        members = members[members >= 0]
+        expected |= set(map(tuple, members[local_triangles(xy[members], 9)].tolist()))
+    stored = unique_triads(xy, rows, 9).tolist()
+    assert len(stored) == len(expected)
+    assert set(map(tuple, stored)) == expected
