@@ -90,6 +90,7 @@ def test_a_users_isam_with_poor_odometry_recovers_the_drive(drive, rng):
         overrides=[
             "graph.odometry_rotation_sigma_deg=0.4",
             "graph.odometry_translation_sigma_m=0.08",
+            "loops.max_distance_m=60",  # across the block: such odometry drifts within a lap, too
         ]
     )
     isam = gtsam.ISAM2()
@@ -107,9 +108,8 @@ def test_a_users_isam_with_poor_odometry_recovers_the_drive(drive, rng):
         frontend.update_estimates(isam.calculateEstimate())
     solved = np.array([isam.calculateEstimatePose3(key).matrix() for key in keys])
     assert any(verdict.status == "accepted" for verdict in frontend.verdicts)
-    # the loops pin both ends of the lap; what is left is the drift within it, which a chain held
-    # at both ends keeps to less than half
-    assert ate_rmse_m(solved, truth) < 0.5 * ate_rmse_m(np.array(odometry), truth)
+    # loops within 30 m pin the ends of the lap alone, which keeps 0.4 of the drift
+    assert ate_rmse_m(solved, truth) < 0.25 * ate_rmse_m(np.array(odometry), truth)
 
 
 def test_another_day_is_found_in_the_saved_map(drive):
