@@ -136,3 +136,26 @@ def test_packing_keeps_a_view_to_the_centimetre(rng):
     np.testing.assert_allclose(again.cloud, view.cloud, atol=0.0051)
     np.testing.assert_allclose(again.heights, view.heights, atol=0.01)
     assert again.lines is lines
+
+
+@pytest.mark.parametrize("far_returns", [0, 12])
+def test_lift_goes_by_the_ground_that_both_see_where_the_target_sees_little_there(far_returns, rng):
+    """The target's street ends 10 m before the source; what it takes for ground there is 2 m up."""
+    up = np.array([0.0, 0.0, 1.0])
+    lines = LineSet(np.zeros((0, 2, 3)), np.zeros((0, 0), np.float32), np.zeros(0, np.int64))
+    world = np.column_stack([rng.uniform((-30, -8), (60, 8), (9000, 2)), np.full(9000, -1.7)])
+    seen = world[world[:, 0] < 30.0]
+    wrong = np.column_stack(
+        [rng.uniform((38, -5), (44, 5), (far_returns, 2)), np.full(far_returns, 0.3)]
+    )
+    target_cloud = np.concatenate([seen, wrong]).astype(np.float32)
+    pose = np.array([2.5, 40.0, 1.0])
+    T_target_source = from_yaw(pose[0], np.array([*pose[1:], 0.4]))
+    from_source = (world - T_target_source[:3, 3]) @ T_target_source[:3, :3]
+    near = np.hypot(from_source[:, 0], from_source[:, 1]) < 30.0
+    source, target = (
+        PreparedView(View(lines, up, cloud, np.zeros(len(cloud), np.float32)), SETTINGS)
+        for cloud in (from_source[near].astype(np.float32), target_cloud)
+    )
+    T = lift(source, target, pose)
+    np.testing.assert_allclose(T, T_target_source, atol=1e-5)  # clouds are single precision
