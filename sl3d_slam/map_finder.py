@@ -1,16 +1,20 @@
 """Where in a line map is a view? Lines guess, clouds decide, and a second place as good is a no."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from small_gicp import PointCloud
 
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import Transform, distance_m, invert, rotation_angle_rad
 from sl3d_slam.mapping.line_map import LineMap
 from sl3d_slam.mapping.places import Places
-from sl3d_slam.matching.judge import Evidence, gather_evidence, objection
+from sl3d_slam.matching.dense import DenseCloud, prepare
+from sl3d_slam.matching.judge import Evidence, objection, weigh
 from sl3d_slam.matching.prepared import PreparedView, flatten, lift
+from sl3d_slam.matching.refine import align_near, fit_planar, moving_cloud
 from sl3d_slam.registration import field_agreement
 from sl3d_slam.retrieval import MapGuess, MapRetrieval
 from sl3d_slam.types import Relocalization, View
@@ -26,6 +30,19 @@ MIN_FIELD = 0.6
 RIVAL_SHARE = 0.7  # of the best guess's score, above which another is refined in any case
 LINE_VOTE = 0.05  # what one agreeing line adds to the mean field value
 CACHE_SIZE = 64
+DENSE_RADIUS_M = 45.0  # of a place that a scan is aligned with: half of the cost, the same pose
+
+
+class _Place:
+    """A place's view, and its cloud near enough to hold a scan by, each made when first needed."""
+
+    def __init__(self, prepared: PreparedView) -> None:
+        self.prepared = prepared
+
+    @cached_property
+    def dense(self) -> DenseCloud | None:
+        cloud = self.prepared.view.cloud
+        return prepare(cloud[np.hypot(cloud[:, 0], cloud[:, 1]) < DENSE_RADIUS_M])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +72,7 @@ class MapFinder:
         self._matching = config.matching
         needed = config.relocalization.model_dump()
         self._judging = config.matching.model_copy(update=needed)
-        self._prepared: dict[int, PreparedView] = {}
+        self._prepared: dict[int, _Place] = {}
         self.places = Places(line_map)
         self.retrieval = MapRetrieval(self.places, config.matching)
 
@@ -79,23 +96,38 @@ class MapFinder:
         """
         lifted: list[tuple[float, int, Transform]] = []
         for guess in guesses:
-            place = self._place(guess.keyframe)
+            place = self._place(guess.keyframe).prepared
             pose = flatten(query, place, guess.T_place_lidar)
             agreement = float(field_agreement(query, place, pose[None])[0])
             if agreement > MIN_FIELD:
                 score = agreement + LINE_VOTE * guess.score
+                reach_m = self._matching.inlier_distance_m
+                pose = fit_planar(query.verticals, place.verticals, pose, reach_m)
                 lifted.append((score, guess.keyframe, lift(query, place, pose)))
         lifted.sort(key=lambda one: -one[0])
         found: list[_Found] = []
+        moving = moving_cloud(query.view.cloud) if lifted else None
         for score, keyframe, T_place_lidar in lifted[:NUM_REFINED]:
             if score < RIVAL_SHARE * lifted[0][0] and self._stands(found):
                 break
-            place = self._place(keyframe)
-            evidence = gather_evidence(query, place, T_place_lidar, self._matching)
+            evidence = self._evidence(query, moving, self._place(keyframe), T_place_lidar)
             if evidence is not None:
                 T_map_lidar = self.places.frame(keyframe) @ evidence.T_target_source
                 found.append(_Found(T_map_lidar, keyframe, evidence))
         return sorted(found, key=lambda one: -one.evidence.log_odds)
+
+    def _evidence(
+        self,
+        query: PreparedView,
+        moving: PointCloud | None,
+        place: _Place,
+        T_guess: Transform,
+    ) -> Evidence | None:
+        """Refine a guess that lines made good by the clouds; None where one has too few points."""
+        if moving is None or place.dense is None:
+            return None
+        aligned = align_near(place.dense, moving, T_guess)
+        return weigh(query, place.prepared, T_guess, aligned, self._matching)
 
     def _stands(self, found: list[_Found]) -> bool:
         """Tell whether a guess that was refined would do as the answer."""
@@ -123,10 +155,10 @@ class MapFinder:
         )
         return MapAnswer(answer, best.keyframe)
 
-    def _place(self, keyframe: int) -> PreparedView:
+    def _place(self, keyframe: int) -> _Place:
         found = self._prepared.pop(keyframe, None)
         if found is None:
-            found = PreparedView(self.places.view(keyframe), self._matching)
+            found = _Place(PreparedView(self.places.view(keyframe), self._matching))
         self._prepared[keyframe] = found
         if len(self._prepared) > CACHE_SIZE:
             del self._prepared[next(iter(self._prepared))]
