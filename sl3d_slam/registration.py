@@ -16,7 +16,7 @@ from sl3d_slam.matching.alone import register_alone
 from sl3d_slam.matching.consistency import PlanarPoses
 from sl3d_slam.matching.judge import Evidence, objection, refusal, to_registration, weigh
 from sl3d_slam.matching.prepared import PreparedView, lift
-from sl3d_slam.matching.refine import align_near, fit_planar, moving_cloud
+from sl3d_slam.matching.refine import align_near, fit_planar
 from sl3d_slam.matching.seeds import distinct, line_poses
 from sl3d_slam.matching.solve import fill_free, line_information
 from sl3d_slam.matching.verticals import up_of_lines
@@ -105,12 +105,11 @@ def _evidence(
     settings: MatchingSettings,
 ) -> Evidence | None:
     """Refine a planar pose by all its lines, then by the clouds, and weigh it."""
-    moving = moving_cloud(source.view.cloud)
-    if moving is None or target.dense is None:
+    if source.moving is None or target.dense is None:
         return None
     on_lines = fit_planar(source.verticals, target.verticals, pose, settings.inlier_distance_m)
     T_guess = lift(source, target, on_lines)
-    aligned = align_near(target.dense, moving, T_guess)
+    aligned = align_near(target.dense, source.moving, T_guess)
     evidence = weigh(source, target, T_guess, aligned, settings)
     lines = source.view.lines, target.view.lines
     T = evidence.T_target_source

@@ -3,10 +3,11 @@
 from functools import cached_property
 
 import numpy as np
+import small_gicp
 
 from sl3d_slam.config import MatchingSettings
 from sl3d_slam.geometry.se3 import Points, Transform, from_yaw, invert, transform_points
-from sl3d_slam.matching import dense, field, visibility
+from sl3d_slam.matching import dense, field, refine, visibility
 from sl3d_slam.matching.verticals import Verticals, find_verticals, levelling
 from sl3d_slam.types import View
 
@@ -73,6 +74,11 @@ class PreparedView:
         counts = np.bincount(index, minlength=RASTER_SIZE**2)
         sums = np.bincount(index, heights_m, minlength=RASTER_SIZE**2)
         return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan).reshape(shape)
+
+    @cached_property
+    def moving(self) -> small_gicp.PointCloud | None:
+        """The coarse cloud thinned to be moved by GICP; None where it has too few points."""
+        return refine.moving_cloud(self.view.cloud)
 
     def ground_height_m(self, x_m: float, y_m: float) -> float | None:
         """Return the ground's height around a place in the levelled frame; None if hardly seen."""
