@@ -1,6 +1,6 @@
 """Where in a line map is a view? Lines guess, clouds decide, and a second place as good is a no."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,7 @@ from sl3d_slam.matching.dense import DenseCloud, prepare
 from sl3d_slam.matching.judge import Evidence, objection, weigh
 from sl3d_slam.matching.prepared import PreparedView, flatten, lift
 from sl3d_slam.matching.refine import align_near, fit_planar, moving_cloud
+from sl3d_slam.matching.solve import fill_free, line_information
 from sl3d_slam.registration import field_agreement
 from sl3d_slam.retrieval import MapGuess, MapRetrieval
 from sl3d_slam.types import Relocalization, View
@@ -127,7 +128,10 @@ class MapFinder:
         if moving is None or place.dense is None:
             return None
         aligned = align_near(place.dense, moving, T_guess)
-        return weigh(query, place.prepared, T_guess, aligned, self._matching)
+        evidence = weigh(query, place.prepared, T_guess, aligned, self._matching)
+        lines = query.view.lines, place.prepared.view.lines
+        by_lines = line_information(*lines, evidence.matches, evidence.T_target_source)
+        return replace(evidence, information=fill_free(evidence.information, by_lines))
 
     def _stands(self, found: list[_Found]) -> bool:
         """Tell whether a guess that was refined would do as the answer."""
