@@ -168,6 +168,10 @@ def test_confident_points_alone_make_lines(rng):
         assert 2.5 < np.ptp(upright.endpoints[:, 2]) < 5.2
     assert {kind for _, kind in grown} == {LineKind.POLE, LineKind.VERTICAL_EDGE}
     assert grow_uprights(scene, points, np.zeros_like(probability), 0.8) == []
+    everywhere = np.array([upright.endpoints.mean(axis=0)[:2] for upright, _ in grown])
+    assert grow_uprights(scene, points, probability, 0.8, everywhere) == []
+    apart = grow_uprights(scene, points, probability, 0.8, everywhere + 5.0)
+    assert len(apart) == len(grown)
 
 
 def test_points_along_a_leaning_line():

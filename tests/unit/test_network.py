@@ -234,3 +234,11 @@ def test_network_points_are_voxel_means_above_ground(rng):
 
 def test_a_scan_without_structure_is_an_empty_sample():
     assert network_points(np.full((100, 3), 500.0), NetworkSettings()).shape == (0, 4)
+
+
+@pytest.mark.parametrize("k", [1, 2, 3, 4, 5, 7, 8, 11])
+def test_largest_over_any_number_of_neighbours(rng, k):
+    values = torch.from_numpy(rng.normal(size=(30, 6)).astype(np.float32))
+    neighbours = torch.from_numpy(rng.integers(0, 30, (50, k)))
+    with torch.inference_mode():
+        assert torch.equal(gather_max(values, neighbours), values[neighbours].amax(dim=1))
