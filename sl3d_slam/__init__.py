@@ -13,7 +13,7 @@ _HOMES = {
     "LineSet": "sl3d_slam.types",
     "register_lines": "sl3d_slam.registration",
     "LineMap": "sl3d_slam.mapping.line_map",
-    "Relocalizer": "sl3d_slam.relocalizer",
+    "Relocalizer": "sl3d_slam.relocalization.relocalizer",
     "LineLoopFrontend": "sl3d_slam.frontend",
     "SlamPipeline": "sl3d_slam.pipeline",
     "load_config": "sl3d_slam.config",

@@ -37,7 +37,7 @@ from sl3d_slam.types import LoopConstraint, Rejection
 
 if TYPE_CHECKING:
     from sl3d_slam.mapping.line_map import LineMap
-    from sl3d_slam.relocalizer import Relocalizer
+    from sl3d_slam.relocalization.relocalizer import Relocalizer
 
 
 class LineLoopFrontend:
@@ -153,7 +153,7 @@ class LineLoopFrontend:
 
         Raises GraphError where the key is taken, InputError where the map cannot be searched.
         """
-        from sl3d_slam.relocalizer import Relocalizer
+        from sl3d_slam.relocalization.relocalizer import Relocalizer
 
         if self._relocalizer is not None:
             raise GraphError("the keyframes are already looked for in a map; expected one map")

@@ -17,10 +17,10 @@ from sl3d_slam.bench.relocalize_world import read_query
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.geometry.se3 import distance_m, invert, rotation_angle_rad
 from sl3d_slam.lines.extract import LineExtractor
-from sl3d_slam.map_finder import MapFinder
 from sl3d_slam.mapping.line_map import LineMap
 from sl3d_slam.matching.prepared import PreparedView
 from sl3d_slam.matching.views import make_view
+from sl3d_slam.relocalization.map_finder import MapFinder
 from sl3d_slam.types import View
 
 

@@ -85,7 +85,7 @@ def _relocalize(out: Path, drive: "Drive", seed: int, console: Any) -> int:
     )
     from sl3d_slam.io.trajectory import read_tum
     from sl3d_slam.mapping.line_map import LineMap
-    from sl3d_slam.relocalizer import Relocalizer
+    from sl3d_slam.relocalization.relocalizer import Relocalizer
     from sl3d_slam.report.pictures import draw_relocalization
     from sl3d_slam.simulation.drive import simulate_drive
 

@@ -8,7 +8,7 @@ import typer
 from sl3d_slam.cli.options import ConfigOption, JsonOption, QuietOption, SetOption
 
 if TYPE_CHECKING:
-    from sl3d_slam.merging import Merged
+    from sl3d_slam.relocalization.merging import Merged
 
 
 def merge(
@@ -25,7 +25,7 @@ def merge(
     from sl3d_slam.config import load_config
     from sl3d_slam.errors import InputError, OutputError
     from sl3d_slam.mapping.line_map import LineMap
-    from sl3d_slam.merging import merge_maps, places_to_ask
+    from sl3d_slam.relocalization.merging import merge_maps, places_to_ask
 
     settings = load_config(config, overrides or ())
     if not out.parent.is_dir():

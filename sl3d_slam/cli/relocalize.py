@@ -36,7 +36,7 @@ def relocalize(
     from sl3d_slam.errors import InputError
     from sl3d_slam.io.open import read_scan
     from sl3d_slam.mapping.line_map import LineMap
-    from sl3d_slam.relocalizer import Relocalizer
+    from sl3d_slam.relocalization.relocalizer import Relocalizer
 
     settings = load_config(config, overrides or ())
     loaded = LineMap.load(line_map)

@@ -303,7 +303,7 @@ class ScriptedRelocalizer:
 
 
 def test_a_saved_map_gets_a_frame_of_its_own(make_frontend, monkeypatch):
-    monkeypatch.setattr("sl3d_slam.relocalizer.Relocalizer", ScriptedRelocalizer)
+    monkeypatch.setattr("sl3d_slam.relocalization.relocalizer.Relocalizer", ScriptedRelocalizer)
     frontend = make_frontend(odometry_factors=True)
     frontend.localize_against(None, map_key=gtsam.symbol("m", 7))
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -332,7 +332,7 @@ def test_a_saved_map_gets_a_frame_of_its_own(make_frontend, monkeypatch):
 
 
 def test_the_key_of_a_map_must_be_new(make_frontend, monkeypatch):
-    monkeypatch.setattr("sl3d_slam.relocalizer.Relocalizer", ScriptedRelocalizer)
+    monkeypatch.setattr("sl3d_slam.relocalization.relocalizer.Relocalizer", ScriptedRelocalizer)
     frontend = make_frontend()
     frontend.add_keyframe(gtsam.symbol("m", 0), POINTS, ODOMETRY[0])
     with pytest.raises(GraphError, match="key m0 was added before"):

@@ -15,9 +15,9 @@ from sl3d_slam.geometry.se3 import (
     rotation_angle_rad,
     transform_points,
 )
-from sl3d_slam.map_finder import MapFinder
 from sl3d_slam.mapping.line_map import LineMap, MapOrigin
-from sl3d_slam.merging import merge_maps
+from sl3d_slam.relocalization.map_finder import MapFinder
+from sl3d_slam.relocalization.merging import merge_maps
 from sl3d_slam.types import LineSet, View
 
 CONFIG = SlamConfig()

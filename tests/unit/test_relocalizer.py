@@ -12,10 +12,10 @@ from sl3d_slam.geometry.se3 import (
     make_transform,
     transform_points,
 )
-from sl3d_slam.map_finder import confidence
 from sl3d_slam.mapping.line_map import LineMap, MapOrigin
 from sl3d_slam.mapping.places import Places, choose_places, place_frame
-from sl3d_slam.relocalizer import Relocalizer
+from sl3d_slam.relocalization.map_finder import confidence
+from sl3d_slam.relocalization.relocalizer import Relocalizer
 from sl3d_slam.types import LineSet
 
 TILT = exp(np.array([0.05, -0.08, 0.0, 0.0, 0.0, 0.0]))

@@ -7,7 +7,7 @@ from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import from_yaw, invert, transform_points
 from sl3d_slam.lines.extract import LineExtractor
-from sl3d_slam.window import join_scans
+from sl3d_slam.relocalization.window import join_scans
 
 CONFIG = SlamConfig()
 STEPS = [from_yaw(0.03 * k, np.array([0.9 * k, 0.05 * k, 0.0])) for k in range(4)]

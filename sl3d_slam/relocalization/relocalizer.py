@@ -7,10 +7,10 @@ import numpy as np
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
 from sl3d_slam.lines.extract import LineExtractor
-from sl3d_slam.map_finder import MapFinder
 from sl3d_slam.mapping.line_map import LineMap
+from sl3d_slam.relocalization.map_finder import MapFinder
+from sl3d_slam.relocalization.window import join_scans
 from sl3d_slam.types import Relocalization, View
-from sl3d_slam.window import join_scans
 
 
 class Relocalizer:

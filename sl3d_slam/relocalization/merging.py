@@ -18,10 +18,10 @@ from sl3d_slam.geometry.se3 import (
 )
 from sl3d_slam.graph.noise import Matrix6, chain_covariance
 from sl3d_slam.graph.solve import Edge, anchor, optimise
-from sl3d_slam.map_finder import MapFinder
 from sl3d_slam.mapping.join import join_maps
 from sl3d_slam.mapping.line_map import LineMap
 from sl3d_slam.mapping.places import Places
+from sl3d_slam.relocalization.map_finder import MapFinder
 
 MAX_ASKED = 200
 MIN_TIES = 3

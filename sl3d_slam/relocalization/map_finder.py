@@ -17,7 +17,7 @@ from sl3d_slam.matching.prepared import PreparedView, flatten, lift
 from sl3d_slam.matching.refine import align_near, fit_planar, moving_cloud
 from sl3d_slam.matching.solve import fill_free, line_information
 from sl3d_slam.registration import field_agreement
-from sl3d_slam.retrieval import MapGuess, MapRetrieval
+from sl3d_slam.relocalization.retrieval import MapGuess, MapRetrieval
 from sl3d_slam.types import Relocalization, View
 
 NUM_GUESSES = 6
