@@ -12,6 +12,8 @@ with no velocity known, a moving vehicle's scan rings on the ground hold ICP at 
 on a KITTI drive at 14 m/s: 0.06 m found, 1.44 m true), so that one is tried from several starts.
 """
 
+from typing import TypeGuard
+
 import numpy as np
 import small_gicp
 from jaxtyping import Float64
@@ -24,7 +26,7 @@ from kiss_icp.config.config import (
 )
 from kiss_icp.mapping import get_voxel_hash_map
 from kiss_icp.preprocess import get_preprocessor
-from kiss_icp.registration import get_registration
+from kiss_icp.registration import Registration, get_registration
 from kiss_icp.threshold import get_threshold_estimator
 from kiss_icp.voxelization import voxel_down_sample
 from scipy.spatial import cKDTree
@@ -34,8 +36,10 @@ from sl3d_slam.config import InputSettings, OdometrySettings
 from sl3d_slam.geometry.se3 import (
     Points,
     Transform,
+    distance_m,
     invert,
     make_transform,
+    rotation_angle_rad,
     transform_points,
 )
 from sl3d_slam.types import RegisteredScan, Scan
@@ -43,12 +47,15 @@ from sl3d_slam.types import RegisteredScan, Scan
 TRANSLATION_GRID_M = 1e-5
 QUATERNION_GRID = 1e-7
 COARSE_STEP_M = 0.02
+FINE_STEP_M = 3e-3
 COARSE_SOURCE_VOXELS = 2.0
 SOURCE_VOXELS = 1.5
 SURFACE_VOXEL_M = 1.0
 SURFACE_SAMPLING_M = 0.5
 SURFACE_NEIGHBOURS = 10
 SURFACE_MEMORY_SCANS = 150
+SETTLED_M = 0.2  # surfaces that move a pose by more were led to the wrong place
+SETTLED_RAD = np.radians(1.0)
 START_STEP_M = 2.0
 START_DISTANCE_LIMIT_M = 0.5
 START_GAIN = 0.95
@@ -66,15 +73,14 @@ class Odometry:
         self._voxel_size_m = settings.voxel_size_m
         self._preprocessor = get_preprocessor(config)
         self._threshold = get_threshold_estimator(config)
-        self._registration = get_registration(config)
+        self._coarse = get_registration(_with_step(config, COARSE_STEP_M))
+        self._fine = get_registration(config)
         self._local_map = get_voxel_hash_map(config)
         self._T_odom_last: Transform = np.eye(4)
         self._T_last_next: Transform = np.eye(4)
         self._surfaces = small_gicp.GaussianVoxelMap(SURFACE_VOXEL_M)
         self._surfaces.set_lru(horizon=SURFACE_MEMORY_SCANS, clear_cycle=10)
         self._refines = settings.refine_on_surfaces
-        voxels = COARSE_SOURCE_VOXELS if self._refines else SOURCE_VOXELS
-        self._source_voxel_m = voxels * settings.voxel_size_m
         self._first_points: Points | None = None
         self._count = 0
 
@@ -103,8 +109,19 @@ class Odometry:
     def _find_pose(
         self, map_points: Points, surfaces: small_gicp.PointCloud | None, guess: Transform
     ) -> Transform:
-        """Find the pose near the constant-velocity guess."""
-        source = voxel_down_sample(map_points, self._source_voxel_m)
+        """Find the pose near the constant-velocity guess, by full effort where a quick one fails.
+
+        Surfaces need only be led near: half of KISS-ICP's points and steps of 2 cm make no
+        difference of a millimetre, unless the vehicle starts to turn or brakes hard. Then the
+        surfaces have far to go or do not settle (1 scan in 150), and a full alignment leads them.
+        """
+        if self._first_points is None and self._can_refine(surfaces):
+            source = voxel_down_sample(map_points, COARSE_SOURCE_VOXELS * self._voxel_size_m)
+            T_odom_led = self._align_within(self._coarse, source, guess)
+            T_odom_lidar, settled = self._refine(surfaces, T_odom_led)
+            if settled:
+                return _on_grid(T_odom_lidar)
+        source = voxel_down_sample(map_points, SOURCE_VOXELS * self._voxel_size_m)
         if self._first_points is None:
             return self._align(source, surfaces, guess)
         first = cKDTree(self._first_points)
@@ -113,22 +130,39 @@ class Odometry:
     def _align(
         self, source: Points, surfaces: small_gicp.PointCloud | None, guess: Transform
     ) -> Transform:
-        """Align points to points by KISS-ICP, then, where asked, surfaces to surfaces.
+        """Align points to points by KISS-ICP, then, where asked, surfaces to surfaces."""
+        T_odom_lidar = self._align_within(self._fine, source, guess)
+        if self._can_refine(surfaces):
+            T_odom_lidar, _ = self._refine(surfaces, T_odom_lidar)
+        return _on_grid(T_odom_lidar)
+
+    def _can_refine(
+        self, surfaces: small_gicp.PointCloud | None
+    ) -> TypeGuard[small_gicp.PointCloud]:
+        return surfaces is not None and surfaces.size() > 0 and self._surfaces.size() > 0
+
+    def _refine(
+        self, surfaces: small_gicp.PointCloud, T_odom_led: Transform
+    ) -> tuple[Transform, bool]:
+        """Align surfaces to surfaces; also tell whether they settled where they were led to.
 
         The scan rings on the ground move with the sensor: point-to-point matches let them hold it
         back, most where it creeps or turns and the adaptive threshold is wide. Matched as surfaces
         (voxelised GICP, Koide et al., ICRA 2021) rings only fix the height.
         """
-        T_odom_lidar = self._align_within(source, guess, self._threshold.get_threshold())
-        if surfaces is not None and surfaces.size() > 0 and self._surfaces.size() > 0:
-            refined = small_gicp.align(
-                self._surfaces, surfaces, init_T_target_source=T_odom_lidar, num_threads=1
-            )
-            T_odom_lidar = np.asarray(refined.T_target_source)
-        return _on_grid(T_odom_lidar)
+        refined = small_gicp.align(
+            self._surfaces, surfaces, init_T_target_source=T_odom_led, num_threads=1
+        )
+        T_odom_lidar = np.asarray(refined.T_target_source)
+        moved = invert(T_odom_led) @ T_odom_lidar
+        near = distance_m(moved) < SETTLED_M and rotation_angle_rad(moved) < SETTLED_RAD
+        return T_odom_lidar, bool(refined.converged and near)
 
-    def _align_within(self, source: Points, guess: Transform, sigma_m: float) -> Transform:
-        return self._registration.align_points_to_map(
+    def _align_within(
+        self, registration: Registration, source: Points, guess: Transform
+    ) -> Transform:
+        sigma_m = self._threshold.get_threshold()
+        return registration.align_points_to_map(
             points=source,
             voxel_map=self._local_map,
             initial_guess=guess,
@@ -173,17 +207,10 @@ def _mean_gap_m(points: Points, first: cKDTree) -> float:
     return float(np.minimum(gaps_m, START_DISTANCE_LIMIT_M).mean())
 
 
-def _effort(surfaces_follow: bool) -> RegistrationConfig:
-    """Stop iterating early where surfaces finish the work; the trajectory does not change.
-
-    Measured on simulated and real drives: the steps that KISS-ICP took between 3 mm and 3 cm, and
-    half of its points, made no difference of a millimetre after the surfaces.
-    """
-    return (
-        RegistrationConfig(convergence_criterion=COARSE_STEP_M)
-        if surfaces_follow
-        else RegistrationConfig()
-    )
+def _with_step(config: KISSConfig, step_m: float) -> KISSConfig:
+    """Return the settings with another length of step at which alignment stops."""
+    registration = RegistrationConfig(convergence_criterion=step_m)
+    return config.model_copy(update={"registration": registration})
 
 
 def _kiss_config(settings: OdometrySettings, scan_input: InputSettings) -> KISSConfig:
@@ -194,7 +221,11 @@ def _kiss_config(settings: OdometrySettings, scan_input: InputSettings) -> KISSC
             min_range=scan_input.min_range_m,
             deskew=scan_input.deskew,
         ),
-        registration=_effort(settings.refine_on_surfaces),
+        registration=(
+            RegistrationConfig(convergence_criterion=FINE_STEP_M)
+            if settings.refine_on_surfaces
+            else RegistrationConfig()
+        ),
         mapping=MappingConfig(
             voxel_size=settings.voxel_size_m, max_points_per_voxel=settings.max_points_per_voxel
         ),
