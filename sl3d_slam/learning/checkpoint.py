@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from sl3d_slam.errors import InputError
 from sl3d_slam.files import write_whole
 
-EXPECTED = "expected the checkpoint of a joint training"
+EXPECTED = "expected the checkpoint of this training"
 
 
 def save_checkpoint(
@@ -44,7 +44,7 @@ def load_checkpoint(
     if about["settings"] != settings:
         raise InputError(
             f"{path}: made with other settings or data; expected those of this run, "
-            "or start anew with --from and another folder"
+            "or name another folder"
         )
     weights, states = _sorted_out(tensors)
     try:

@@ -19,14 +19,3 @@ def voxel_choice(
     order = rng.permutation(len(points))
     first = np.unique(voxel_keys(points[order], voxel_m), return_index=True)[1]
     return order[np.sort(first)]
-
-
-def thin_scan(
-    points: Points, voxel_m: float, max_points: int, rng: np.random.Generator
-) -> Int64[np.ndarray, "V"]:
-    """Return one point of every voxel, of those at most ``max_points`` nearest the origin."""
-    chosen = voxel_choice(points, voxel_m, rng)
-    if len(chosen) > max_points:
-        squared = np.einsum("nd,nd->n", points[chosen], points[chosen])
-        chosen = chosen[np.sort(np.argpartition(squared, max_points)[:max_points])]
-    return chosen
