@@ -3,7 +3,7 @@
 from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float64, Int32
+from jaxtyping import Float64, Int32, Int64
 from numba import njit
 
 from sl3d_slam.loops.triangles import MAX_SIDE_M, MIN_SIDE_M
@@ -24,12 +24,18 @@ def unique_triads(
     parts = [np.zeros(0, np.int64)]
     for first in range(0, len(members), CHUNK):
         keys = _triangle_keys(xy, members[first : first + CHUNK], neighbours)
-        parts.append(np.unique(keys))
-    key = np.unique(np.concatenate(parts))
+        parts.append(_unique(keys))
+    key = _unique(np.concatenate(parts))
     triads = np.empty((len(key), 3), np.int32)
     for corner, shift in enumerate((2 * ID_BITS, ID_BITS, 0)):
         triads[:, corner] = (key >> shift) & ((1 << ID_BITS) - 1)
     return triads
+
+
+def _unique(keys: Int64[np.ndarray, "N"]) -> Int64[np.ndarray, "U"]:
+    """Sort the numbers in place and return each once: numpy's unique hashes, 20 times slower."""
+    keys.sort()
+    return keys[np.concatenate([[True], keys[1:] != keys[:-1]])] if len(keys) else keys
 
 
 @njit(cache=True)
@@ -65,17 +71,19 @@ def _measure(xy: np.ndarray, lines: np.ndarray, gaps_m: np.ndarray) -> None:
 def _find_near(gaps_m: np.ndarray, count: int, near: np.ndarray, is_near: np.ndarray) -> None:
     """List the nearest lines of useful distance of each, -1 after the last."""
     is_near[:count, :count] = False
+    least_m = np.empty(near.shape[1])
     for i in range(count):
-        near[i] = -1
-        for n in range(near.shape[1]):
-            best, least_m = -1, MAX_SIDE_M
-            for j in range(count):
-                if MIN_SIDE_M <= gaps_m[i, j] < least_m and not is_near[i, j]:
-                    best, least_m = j, gaps_m[i, j]
-            if best < 0:
-                break
-            near[i, n] = best
-            is_near[i, best] = True
+        near[i], least_m[:] = -1, MAX_SIDE_M
+        for j in range(count):
+            if MIN_SIDE_M <= gaps_m[i, j] < least_m[-1]:
+                n = near.shape[1] - 1
+                while n > 0 and gaps_m[i, j] < least_m[n - 1]:
+                    near[i, n], least_m[n] = near[i, n - 1], least_m[n - 1]
+                    n -= 1
+                near[i, n], least_m[n] = j, gaps_m[i, j]
+        for j in near[i]:
+            if j >= 0:
+                is_near[i, j] = True
 
 
 @njit(cache=True)
