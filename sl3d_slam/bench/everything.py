@@ -4,11 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sl3d_slam.bench import backend, extract, lines, loops, registration, slam
+from sl3d_slam.bench import backend, extract, lines, loops, registration, relocalize, scale, slam
 from sl3d_slam.bench.drives import Drive
 from sl3d_slam.bench.lines_plan import KINDS, LinesBench, make_methods
 from sl3d_slam.bench.registration_plan import RegistrationBench, make_plan
 from sl3d_slam.bench.tables import Table
+from sl3d_slam.config import SlamConfig
 from sl3d_slam.files import prepare_run_folder
 from sl3d_slam.simulation.drive import plan_drive
 from sl3d_slam.simulation.roads import builtin_road
@@ -21,16 +22,22 @@ EXTRACT_SCANS = 30
 
 @dataclass(frozen=True, slots=True)
 class Extent:
-    """How much is done: the road, the sensor, pairs at each distance, those distances."""
+    """How much is done: the road, the sensor, pairs at each distance, those distances.
+
+    ``map_lines`` are the sizes of the maps that scans of ``map_towns`` towns are asked in.
+    """
 
     road: str
     sensor: str
     num_pairs: int
     distances_m: tuple[float, ...]
+    map_lines: tuple[int, ...]
+    map_towns: int
 
 
-QUICK = Extent("demo", "hdl32", 10, (10.0, 20.0))
-FULL = Extent("loop", "hdl64", 50, (10.0, 20.0, 30.0, 40.0))
+QUICK = Extent("demo", "hdl32", 10, (10.0, 20.0), (1_000, 10_000), 1)
+FULL = Extent("loop", "hdl64", 50, (10.0, 20.0, 30.0, 40.0), (10_000, 100_000), 3)
+TOWN_QUERIES = 20
 
 
 def run(
@@ -61,6 +68,8 @@ def run(
         registration.run(pairs, make_plan(pairs), out / "registration", command, progress),
         loops.run(loops.LoopBench([drive]), out / "loops", command, progress),
         *_lines(drive, extent, seed, out, command, progress),
+        _relocalize(extent, seed, out, command, progress),
+        *scale.run(out / "scale", quick, seed, command, progress),
     ]
     progress("backend", 0)
     backend.run(out / "backend", quick)
@@ -78,6 +87,14 @@ def _lines(
         *lines.run(found, out / "lines", command, progress),
         *extract.run(timed, out / "extract", command, progress),
     ]
+
+
+def _relocalize(extent: Extent, seed: int, out: Path, command: str, progress: Progress) -> Table:
+    """Ask scans of another day in towns of their own, on the short road."""
+    asked = relocalize.RelocalizeBench(
+        extent.map_lines, extent.map_towns, TOWN_QUERIES, seed, "demo", extent.sensor, SlamConfig()
+    )
+    return relocalize.run(asked, out / "relocalize", command, progress)
 
 
 def _simulated(root: Path, extent: Extent, seed: int, progress: Progress) -> Drive:

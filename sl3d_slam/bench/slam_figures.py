@@ -38,6 +38,23 @@ COLUMNS = (
     Column("map_mb", "map MB", "{:.2f}"),
     Column("status", "status"),
 )
+GROWTH_COLUMNS = (
+    Column("sequence", "sequence"),
+    Column("kind", "data", main=False),
+    Column("scans", "scans", "{:d}"),
+    Column("ms_mean", "ms/scan", "{:.0f}"),
+    Column("ms_p99", "p99 ms", "{:.0f}", main=False),
+    Column("ms_max", "max ms", "{:.0f}"),
+    Column("ms_early", "early ms", "{:.0f}", main=False),
+    Column("ms_late", "late ms", "{:.0f}", main=False),
+    Column("ms_growth", "late/early", "{:.2f}"),
+    Column("rss_500_mb", "MB at 500", "{:.0f}", main=False),
+    Column("peak_rss_mb", "peak MB", "{:.0f}"),
+    Column("rss_kb_per_scan", "kB/scan at the end", "{:.0f}"),
+    Column("finish_s", "end s", "{:.1f}", main=False),
+    Column("loops_accepted", "loops", "{:d}"),
+    Column("status", "status"),
+)
 NOTES = (
     "ATE: RMSE of positions after rigid alignment. KITTI errors: over stretches of 100 to 800 m.",
     "False: accepted loops more than 2 m or 5 deg from the true relative pose. kiss-slam's loops "
@@ -80,18 +97,19 @@ def growth(
     """Return how time and memory went over the run.
 
     ``rss_kb_per_scan`` is the slope of a line through the memory of the last 2,000 scans or of the
-    second half, whichever is shorter. ``ms_growth`` divides the mean time of the last 500 scans by
-    that of scans 500 to 1,000; None where the run is shorter than 1,500 scans.
+    second half, whichever is shorter. ``ms_growth`` divides the mean time of the last 500 scans,
+    ``ms_late``, by that of scans 500 to 1,000, ``ms_early``; None where the run is shorter than
+    1,500 scans.
     """
     count = len(taken_ms)
     window = min(SLOPE_SCANS, count // 2)
     slope = None
     if window >= SLOPE_MIN_SCANS:
         slope = 1e3 * float(np.polyfit(np.arange(window), resident_mb[-window:], 1)[0])
-    ratio = None
+    early_ms = late_ms = None
     if count >= EARLY_SCAN + 2 * WINDOW_SCANS:
-        early = taken_ms[EARLY_SCAN : EARLY_SCAN + WINDOW_SCANS]
-        ratio = float(taken_ms[-WINDOW_SCANS:].mean() / early.mean())
+        early_ms = float(taken_ms[EARLY_SCAN : EARLY_SCAN + WINDOW_SCANS].mean())
+        late_ms = float(taken_ms[-WINDOW_SCANS:].mean())
     return {
         "scans": count,
         "ms_mean": float(taken_ms.mean()),
@@ -100,5 +118,7 @@ def growth(
         "rss_500_mb": float(resident_mb[EARLY_SCAN]) if count > EARLY_SCAN else None,
         "rss_last_mb": float(resident_mb[-1]),
         "rss_kb_per_scan": slope,
-        "ms_growth": ratio,
+        "ms_early": early_ms,
+        "ms_late": late_ms,
+        "ms_growth": late_ms / early_ms if early_ms and late_ms else None,
     }

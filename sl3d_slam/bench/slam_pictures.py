@@ -109,7 +109,9 @@ def _draw_path(
     plan.plot(path[:, 0], path[:, 1], color=colour, lw=1.4, label=system)
 
 
-def draw_series(answers: Mapping[str, Answer], title: str) -> bytes:
+def draw_series(
+    answers: Mapping[str, Answer], title: str, colours: Mapping[str, str] = SYSTEM_COLOURS
+) -> bytes:
     """Return a PNG with milliseconds (each scan, and a running mean) and memory over the run."""
     with picture_style():
         figure = new_figure(11.0, 7.0, f"{title}: time and memory over the run")
@@ -117,7 +119,7 @@ def draw_series(answers: Mapping[str, Answer], title: str) -> bytes:
         for system, answer in answers.items():
             if answer.series is None:
                 continue
-            colour = colour_of(system)
+            colour = colours.get(system, GREEN)
             taken_ms = answer.series.taken_ms
             times.plot(taken_ms, ".", color=colour, ms=1.5, alpha=0.4)
             times.plot(_running_mean(taken_ms), color=colour, lw=1.6, label=system)

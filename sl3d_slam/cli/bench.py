@@ -5,11 +5,11 @@ from typing import Annotated
 
 import typer
 
+from sl3d_slam.cli.bench_drives import covariance, growth, loops, slam
 from sl3d_slam.cli.bench_lines import extract, lines
 from sl3d_slam.cli.bench_options import (
     DataArguments,
     DistancesOption,
-    OutAndBackOption,
     OutOption,
     PeersOption,
     SeedOption,
@@ -23,7 +23,7 @@ from sl3d_slam.cli.bench_options import (
 )
 from sl3d_slam.cli.bench_relocalize import relocalize
 from sl3d_slam.cli.errors import Verbs
-from sl3d_slam.cli.options import ConfigOption, DatasetOption, QuietOption, ScansOption, SetOption
+from sl3d_slam.cli.options import ConfigOption, DatasetOption, QuietOption, SetOption
 
 bench = typer.Typer(
     cls=Verbs,
@@ -34,31 +34,10 @@ bench = typer.Typer(
 bench.command("lines")(lines)
 bench.command("extract")(extract)
 bench.command("relocalize")(relocalize)
-
-
-@bench.command("slam")
-def slam(
-    data: DataArguments,
-    out: OutOption,
-    dataset: DatasetOption = "auto",
-    sequences: SequencesOption = None,
-    scans: ScansOption = None,
-    peers: PeersOption = "kiss-slam,kiss-icp",
-    out_and_back: OutAndBackOption = False,
-    config: ConfigOption = None,
-    overrides: SetOption = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Whole drives against kiss-slam and KISS-ICP: accuracy, loops, time, memory."""
-    from sl3d_slam.bench.slam import SlamBench, run
-    from sl3d_slam.cli.progress import Meter
-    from sl3d_slam.config import load_config
-
-    drives = drives_of(data, sequences, dataset, scans, out_and_back)
-    what = SlamBench(drives, names(peers), load_config(config, overrides or ()))
-    with Meter(what.num_steps(), quiet=quiet) as meter:
-        table = run(what, out, command(), meter.advance)
-    show([table], out, quiet)
+bench.command("slam")(slam)
+bench.command("loops")(loops)
+bench.command("growth")(growth)
+bench.command("covariance")(covariance)
 
 
 @bench.command("registration")
@@ -114,64 +93,6 @@ def registration(
     plan = make_plan(what)
     with Meter(what.num_steps(plan), "pairs", quiet) as meter:
         table = run(what, plan, out, command(), meter.advance)
-    show([table], out, quiet)
-
-
-@bench.command("loops")
-def loops(
-    data: DataArguments,
-    out: OutOption,
-    dataset: DatasetOption = "auto",
-    sequences: SequencesOption = None,
-    scans: ScansOption = None,
-    peers: PeersOption = "map-closures",
-    out_and_back: OutAndBackOption = False,
-    config: ConfigOption = None,
-    overrides: SetOption = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Precision and recall of loops, same direction and reverse, against MapClosures."""
-    from sl3d_slam.bench.loops import LoopBench, run
-    from sl3d_slam.cli.progress import Meter
-    from sl3d_slam.config import load_config
-
-    drives = drives_of(data, sequences, dataset, scans, out_and_back)
-    what = LoopBench(drives, names(peers), load_config(config, overrides or ()))
-    with Meter(what.num_steps(), quiet=quiet) as meter:
-        table = run(what, out, command(), meter.advance)
-    show([table], out, quiet)
-
-
-@bench.command("covariance")
-def covariance(
-    data: DataArguments,
-    out: OutOption,
-    dataset: DatasetOption = "auto",
-    sequences: SequencesOption = None,
-    scans: ScansOption = None,
-    pairs: Annotated[int, typer.Option(min=1, help="Pairs of views of each drive.")] = 150,
-    min_travel: Annotated[
-        float, typer.Option(min=0, help="Metres of way between the views of a pair.")
-    ] = 40.0,
-    seed: Annotated[int, typer.Option(min=0, help="Chooses pairs and first guesses.")] = 0,
-    config: ConfigOption = None,
-    overrides: SetOption = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Normalised errors of loops and odometry steps against true poses: honest is six."""
-    from sl3d_slam.bench.covariance import CovarianceBench, run
-    from sl3d_slam.bench.drives import Drive
-    from sl3d_slam.cli.progress import Meter
-    from sl3d_slam.config import load_config
-
-    drives = [
-        Drive(str(path.resolve()), name, dataset, scans)
-        for path in data
-        for name in sequences or (None,)
-    ]
-    what = CovarianceBench(drives, load_config(config, overrides or ()), pairs, min_travel, seed)
-    with Meter(None, quiet=quiet) as meter:
-        table = run(what, out, command(), meter.advance)
     show([table], out, quiet)
 
 

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from sl3d_slam.bench import peers
+from sl3d_slam.bench import growth, peers
 from sl3d_slam.bench.drives import Drive
 from sl3d_slam.bench.peers import INSTALL, explain_absence, importing
 from sl3d_slam.bench.process import ANSWER, ending, serve
@@ -124,6 +124,17 @@ def test_a_missing_peer_has_a_row_and_the_others_still_run(drive, tmp_path, monk
     assert sum(n for system, n in told if system == "sl3d-slam") == 14
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"slam.csv", "slam.md", "slam.png", "slam_0_07_paths.png"} <= written
+
+
+def test_growth_maps_every_length_and_refuses_more_scans_than_there_are(drive, tmp_path):
+    table = growth.run(growth.GrowthBench(drive, (10, 6)), tmp_path / "out")
+    assert [row["scans"] for row in table.rows] == [6, 10]
+    assert all(row["status"] == "ok" and row["peak_rss_mb"] > 20.0 for row in table.rows)
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"growth.csv", "growth.md", "growth.png"} <= written
+    with pytest.raises(InputError, match="14 scans"):
+        growth.run(growth.GrowthBench(drive, (6, 15)), tmp_path / "none")
+    assert not (tmp_path / "none").exists()
 
 
 def test_kiss_icp_gives_a_pose_a_scan_and_no_loops(drive):
