@@ -99,7 +99,7 @@ def read_scan(path: Path, settings: InputSettings) -> Points:
     """
     cloud = read_cloud(path)
     if is_kitti(path.parent):
-        offset_deg = elevation_offset_deg(path.parent.parent, settings)
+        offset_deg = elevation_offset_deg(path, settings)
     else:
         offset_deg = KITTI_ELEVATION_OFFSET_DEG if settings.kitti_correction == "on" else 0.0
     points = corrected(cloud, offset_deg).points

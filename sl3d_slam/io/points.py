@@ -13,6 +13,8 @@ from sl3d_slam.types import Scan
 
 MIN_POINTS = 100
 KITTI_ELEVATION_OFFSET_DEG = 0.205
+HDL64_ELEVATIONS_DEG = (-26.0, 7.0)  # KITTI's scans reach from -25.5 to 5.5
+FOREIGN_SHARE = 0.01
 TIME_FIELDS = (
     "t", "time", "times", "timestamp", "timestamps", "time_stamp", "offset_time", "time_offset",
     "stamp",
@@ -69,6 +71,18 @@ def raise_elevation(points: Points, angle_deg: float) -> Points:
         turned[:, 2] = z * cosine + horizontal * sine
     turned[on_axis] = points[on_axis]
     return turned
+
+
+def looks_like_hdl64(points: Points) -> bool:
+    """Tell whether nearly all points lie in the field of view of KITTI's Velodyne HDL-64E.
+
+    Other sensors that people put into KITTI's layout (HDL-32E, OS1) have a quarter outside.
+    """
+    lowest, highest = np.tan(np.radians(HDL64_ELEVATIONS_DEG))
+    with np.errstate(over="ignore", invalid="ignore"):
+        horizontal = np.hypot(points[:, 0], points[:, 1])
+        foreign = (points[:, 2] < lowest * horizontal) | (points[:, 2] > highest * horizontal)
+    return bool(foreign.mean() < FOREIGN_SHARE)
 
 
 def corrected(cloud: Cloud, elevation_offset_deg: float) -> Cloud:

@@ -121,6 +121,25 @@ def test_correction_is_off_for_simulated_sequences_and_switchable(root):
     assert np.array_equal(first(forced), raise_elevation(raw, 0.205))
 
 
+@pytest.mark.parametrize(
+    ("lowest_deg", "highest_deg", "turned_deg"), [(-24.9, 2.0, 0.205), (-30.7, 10.7, 0.0)]
+)
+def test_only_the_field_of_view_of_an_hdl64_is_corrected(
+    root, rng, lowest_deg, highest_deg, turned_deg
+):
+    """Velodyne's data sheets: HDL-64E from -24.9 to 2 degrees, HDL-32E from -30.7 to 10.7."""
+    azimuth = rng.uniform(-np.pi, np.pi, 3000)
+    elevation = np.radians(rng.uniform(lowest_deg, highest_deg, 3000))
+    flat = np.cos(elevation)
+    rays = np.column_stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+    points = (rng.uniform(3, 60, (3000, 1)) * rays).astype("<f4")
+    for index in range(3):
+        write_scan(root / "sequences" / "01" / "velodyne" / f"{index:06d}.bin", points)
+    expected = raise_elevation(points.astype(float), turned_deg)
+    for scan in open_dataset(root, SETTINGS, sequence="01"):
+        np.testing.assert_allclose(scan.points_lidar, expected, atol=1e-9)
+
+
 def test_single_scan_of_a_sequence_is_corrected_as_in_the_sequence(root):
     path = root / "sequences" / "01" / "velodyne" / "000001.bin"
     scans = list(open_dataset(root, SETTINGS, sequence="01"))
