@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from sl3d_slam.cli.bench_drives import covariance, growth, loops, slam
-from sl3d_slam.cli.bench_lines import extract, lines
+from sl3d_slam.cli.bench_lines import ablations, extract, lines
 from sl3d_slam.cli.bench_options import (
     DataArguments,
     DistancesOption,
@@ -33,6 +33,7 @@ bench = typer.Typer(
 )
 bench.command("lines")(lines)
 bench.command("extract")(extract)
+bench.command("ablations")(ablations)
 bench.command("relocalize")(relocalize)
 bench.command("slam")(slam)
 bench.command("loops")(loops)

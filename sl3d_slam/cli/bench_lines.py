@@ -68,6 +68,32 @@ def lines(
     show(tables, out, quiet)
 
 
+def ablations(
+    data: Annotated[
+        list[Path], typer.Argument(metavar="DATA...", help="Drives to learn from: KITTI, folders.")
+    ],
+    held_out: Annotated[
+        Path, typer.Option(metavar="DATA", help="Drive to measure on, never learned from.")
+    ],
+    out: OutOption,
+    steps: Annotated[int, typer.Option(min=1, help="Pairs of scans each learns from.")] = 300,
+    points: Annotated[int, typer.Option(min=50, help="At most so many a cloud.")] = 6000,
+    cache: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Keep prepared drives here.")
+    ] = None,
+    seed: SeedOption = 0,
+    quiet: QuietOption = False,
+) -> None:
+    """Short trainings with one thing changed: stride, length of descriptors, kind of neighbours."""
+    from sl3d_slam.bench.ablations import VARIANTS, Ablations, run
+    from sl3d_slam.cli.progress import Meter
+
+    what = Ablations(tuple(data), held_out, steps, points, seed, cache)
+    with Meter(steps * len(VARIANTS), "steps", quiet) as meter:
+        table = run(what, out, command(), meter.advance)
+    show([table], out, quiet)
+
+
 def extract(
     data: Annotated[
         list[Path], typer.Argument(metavar="SCAN|DATA...", help="Scan files, or drives.")
