@@ -14,11 +14,16 @@ from sl3d_slam.geometry.se3 import Points
 from sl3d_slam.matching import field
 from sl3d_slam.matching.alone import register_alone
 from sl3d_slam.matching.consistency import PlanarPoses
-from sl3d_slam.matching.judge import Evidence, objection, refusal, to_registration, weigh
+from sl3d_slam.matching.judge import (
+    Evidence,
+    gather_near,
+    objection,
+    refusal,
+    to_registration,
+)
 from sl3d_slam.matching.prepared import PreparedView, lift
-from sl3d_slam.matching.refine import align_near, fit_planar
+from sl3d_slam.matching.refine import fit_planar
 from sl3d_slam.matching.seeds import distinct, line_poses
-from sl3d_slam.matching.solve import fill_free, line_information
 from sl3d_slam.matching.verticals import up_of_lines
 from sl3d_slam.matching.views import make_view, view_of_lines
 from sl3d_slam.types import LineSet, Registration
@@ -105,16 +110,10 @@ def _evidence(
     settings: MatchingSettings,
 ) -> Evidence | None:
     """Refine a planar pose by all its lines, then by the clouds, and weigh it."""
-    if source.moving is None or target.dense is None:
-        return None
     on_lines = fit_planar(source.verticals, target.verticals, pose, settings.inlier_distance_m)
     T_guess = lift(source, target, on_lines)
-    aligned = align_near(target.dense, source.moving, T_guess)
-    evidence = weigh(source, target, T_guess, aligned, settings)
-    lines = source.view.lines, target.view.lines
-    T = evidence.T_target_source
-    by_lines = line_information(*lines, evidence.matches, T)
-    return replace(evidence, lead=lead, information=fill_free(evidence.information, by_lines))
+    evidence = gather_near(source, target, target.dense, T_guess, settings)
+    return None if evidence is None else replace(evidence, lead=lead)
 
 
 def planar_seeds(

@@ -47,11 +47,6 @@ class LandmarkIndex:
         """Return the number of stored triangles."""
         return len(self._table.triads)
 
-    @property
-    def num_bytes(self) -> int:
-        """Return the memory that the tables take."""
-        return int(self._xy.nbytes + sum(array.nbytes for array in self._table))
-
     def query(
         self, xy: Float64[np.ndarray, "V 2"], weights: Float64[np.ndarray, "V"], limit: int
     ) -> Float64[np.ndarray, "K 4"]:

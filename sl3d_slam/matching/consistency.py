@@ -58,7 +58,7 @@ def enumerate_poses(
         inlier_distance_m,
     )
     order = np.argsort(-scores, kind="stable")
-    return poses[order], scores[order]
+    return poses[order, :3], scores[order]
 
 
 def thin_poses(
@@ -108,36 +108,50 @@ def _match_pairs(  # noqa: PLR0913
     target_m: np.ndarray,
     tolerance_m: float,
 ) -> np.ndarray:
+    """Return rows of yaw, x, y, and the yaw's cosine and sine."""
     starts = np.searchsorted(target_m, source_m - tolerance_m)
     ends = np.searchsorted(target_m, source_m + tolerance_m)
-    poses = np.empty((2 * np.sum(ends - starts), 3))
+    source_at, target_at = _lie(source_xy, source_pairs), _lie(target_xy, target_pairs)
+    poses = np.empty((2 * np.sum(ends - starts), 5))
     h = 0
     for p in range(len(source_m)):
-        a, b = source_xy[source_pairs[p, 0]], source_xy[source_pairs[p, 1]]
-        angle = np.arctan2(b[1] - a[1], b[0] - a[0])
-        middle_x, middle_y = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])
         for q in range(starts[p], ends[p]):
-            c, d = target_xy[target_pairs[q, 0]], target_xy[target_pairs[q, 1]]
-            yaw = np.arctan2(d[1] - c[1], d[0] - c[0]) - angle
+            yaw = target_at[q, 0] - source_at[p, 0]
+            yaw -= 2.0 * np.pi * np.round(yaw / (2.0 * np.pi))
+            cosine, sine = np.cos(yaw), np.sin(yaw)
             for _ in range(2):
-                cosine, sine = np.cos(yaw), np.sin(yaw)
-                poses[h, 0] = np.arctan2(sine, cosine)
-                poses[h, 1] = 0.5 * (c[0] + d[0]) - (cosine * middle_x - sine * middle_y)
-                poses[h, 2] = 0.5 * (c[1] + d[1]) - (sine * middle_x + cosine * middle_y)
+                poses[h, 0], poses[h, 3], poses[h, 4] = yaw, cosine, sine
+                turned_x = cosine * source_at[p, 1] - sine * source_at[p, 2]
+                turned_y = sine * source_at[p, 1] + cosine * source_at[p, 2]
+                poses[h, 1] = target_at[q, 1] - turned_x
+                poses[h, 2] = target_at[q, 2] - turned_y
                 h += 1
-                yaw += np.pi
+                yaw += np.pi if yaw < 0.0 else -np.pi
+                cosine, sine = -cosine, -sine
     return poses
 
 
 @njit(cache=True)
 @no_type_check
+def _lie(xy: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """Return the angle of each pair's baseline and its middle."""
+    found = np.empty((len(pairs), 3))
+    for p in range(len(pairs)):
+        a, b = xy[pairs[p, 0]], xy[pairs[p, 1]]
+        found[p, 0] = np.arctan2(b[1] - a[1], b[0] - a[0])
+        found[p, 1], found[p, 2] = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])
+    return found
+
+
+@njit(cache=True)
+@no_type_check
 def _rasterise(target_xy: np.ndarray, radius_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a grid that names the target line nearest to each cell, -1 where none is near."""
+    """Return a grid that names the target line nearest to each cell; any where none is near."""
     margin = radius_m + RASTER_CELL_M
     corner = np.array([target_xy[:, 0].min() - margin, target_xy[:, 1].min() - margin])
     nx = int((target_xy[:, 0].max() + margin - corner[0]) / RASTER_CELL_M) + 1
     ny = int((target_xy[:, 1].max() + margin - corner[1]) / RASTER_CELL_M) + 1
-    raster = np.full((nx, ny), -1, np.int32)
+    raster = np.zeros((nx, ny), np.int32)
     best = np.full((nx, ny), np.inf)
     reach = int(margin / RASTER_CELL_M) + 1
     for k in range(len(target_xy)):
@@ -165,19 +179,19 @@ def _score_poses(  # noqa: PLR0913
     radius_m: float,
 ) -> np.ndarray:
     scores = np.zeros(len(poses))
+    source, target = source_xy / RASTER_CELL_M, (target_xy - corner) / RASTER_CELL_M
+    reach = (RASTER_CELL_M / radius_m) ** 2
+    last_u, last_v = raster.shape[0] - 1, raster.shape[1] - 1
     for h in range(len(poses)):
-        cosine, sine = np.cos(poses[h, 0]), np.sin(poses[h, 0])
+        cosine, sine = poses[h, 3], poses[h, 4]
+        at_u = (poses[h, 1] - corner[0]) / RASTER_CELL_M
+        at_v = (poses[h, 2] - corner[1]) / RASTER_CELL_M
         total = 0.0
-        for i in range(len(source_xy)):
-            x = cosine * source_xy[i, 0] - sine * source_xy[i, 1] + poses[h, 1]
-            y = sine * source_xy[i, 0] + cosine * source_xy[i, 1] + poses[h, 2]
-            u, v = (x - corner[0]) / RASTER_CELL_M, (y - corner[1]) / RASTER_CELL_M
-            if u < 0.0 or v < 0.0 or u >= raster.shape[0] or v >= raster.shape[1]:
-                continue
-            k = raster[int(u), int(v)]
-            if k >= 0:
-                gap = ((x - target_xy[k, 0]) ** 2 + (y - target_xy[k, 1]) ** 2) / radius_m**2
-                if gap < 1.0:
-                    total += weights[i, k] * (1.0 - gap)
+        for i in range(len(source)):
+            u = cosine * source[i, 0] - sine * source[i, 1] + at_u
+            v = sine * source[i, 0] + cosine * source[i, 1] + at_v
+            k = raster[max(0, min(int(u), last_u)), max(0, min(int(v), last_v))]
+            gap = ((u - target[k, 0]) ** 2 + (v - target[k, 1]) ** 2) * reach
+            total += weights[i, k] * max(1.0 - gap, 0.0)
         scores[h] = total
     return scores

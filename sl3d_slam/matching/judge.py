@@ -1,6 +1,6 @@
 """Refine a guess densely, gather what speaks for and against it, and say yes or why not."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -10,6 +10,8 @@ from sl3d_slam.geometry.se3 import Transform, distance_m, invert, rotation_angle
 from sl3d_slam.matching import dense, visibility
 from sl3d_slam.matching.consistency import match_verticals
 from sl3d_slam.matching.prepared import PreparedView, flatten
+from sl3d_slam.matching.refine import align_near
+from sl3d_slam.matching.solve import fill_free, line_information
 from sl3d_slam.types import Registration
 
 MAX_CORRECTION_M = 4.0
@@ -69,6 +71,26 @@ def gather_evidence(
     return weigh(
         source, target, T_guess, dense.align(target.dense, source.dense, T_guess), settings
     )
+
+
+def gather_near(
+    source: PreparedView,
+    target: PreparedView,
+    cloud: dense.DenseCloud | None,
+    T_guess: Transform,
+    settings: MatchingSettings,
+) -> Evidence | None:
+    """Refine a guess that lines made good, on a ``cloud`` of the target; None without clouds.
+
+    Directions that the clouds leave free take their information from the lines.
+    """
+    if source.moving is None or cloud is None:
+        return None
+    aligned = align_near(cloud, source.moving, T_guess)
+    evidence = weigh(source, target, T_guess, aligned, settings)
+    lines = source.view.lines, target.view.lines
+    by_lines = line_information(*lines, evidence.matches, evidence.T_target_source)
+    return replace(evidence, information=fill_free(evidence.information, by_lines))
 
 
 def weigh(

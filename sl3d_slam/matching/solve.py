@@ -7,7 +7,7 @@ farther than 1 m; here each source line gives its two end points and robust weig
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from sl3d_slam.geometry.se3 import Transform, exp, nearest_rotation, skew, transform_points
+from sl3d_slam.geometry.se3 import Transform, exp, nearest_rotation, transform_points
 from sl3d_slam.geometry.segments import directions, midpoints, transform_segments
 from sl3d_slam.types import LineSet
 
@@ -101,14 +101,12 @@ def _normal_equations(
     offset = transform_points(T, points) - origins
     residual = offset - (offset * axes).sum(axis=1, keepdims=True) * axes
     length = np.linalg.norm(residual, axis=1)
-    weight = np.where(length < REJECT_M, 1.0 / (1.0 + (length / ROBUST_M) ** 2) ** 2, 0.0)
-    H, gradient = np.zeros((6, 6)), np.zeros(6)
-    for k in np.flatnonzero(weight):
-        across = np.eye(3) - np.outer(axes[k], axes[k])
-        J = across @ T[:3, :3] @ np.hstack([-skew(points[k]), np.eye(3)])
-        H += weight[k] * J.T @ J
-        gradient += weight[k] * J.T @ residual[k]
-    return H, gradient
+    root = np.where(length < REJECT_M, 1.0 / (1.0 + (length / ROBUST_M) ** 2), 0.0)[:, None]
+    turns = np.cross(np.eye(3), points[:, None]).swapaxes(1, 2)  # -skew(point), each
+    moves = T[:3, :3] @ np.concatenate([turns, np.broadcast_to(np.eye(3), turns.shape)], axis=2)
+    across = moves - axes[:, :, None] * (axes[:, None] @ moves)
+    J = (root[:, :, None] * across).reshape(-1, 6)
+    return J.T @ J, J.T @ (root * residual).ravel()
 
 
 def _comparable_units(points: np.ndarray) -> np.ndarray:

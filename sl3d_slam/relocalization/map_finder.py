@@ -1,10 +1,9 @@
 """Where in a line map is a view? Lines guess, clouds decide, and a second place as good is a no."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from small_gicp import PointCloud
 
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
@@ -12,10 +11,9 @@ from sl3d_slam.geometry.se3 import Transform, distance_m, invert, rotation_angle
 from sl3d_slam.mapping.line_map import LineMap
 from sl3d_slam.mapping.places import Places
 from sl3d_slam.matching.dense import DenseCloud, prepare
-from sl3d_slam.matching.judge import Evidence, objection, weigh
+from sl3d_slam.matching.judge import Evidence, gather_near, objection
 from sl3d_slam.matching.prepared import PreparedView, flatten, lift
-from sl3d_slam.matching.refine import align_near, fit_planar, moving_cloud
-from sl3d_slam.matching.solve import fill_free, line_information
+from sl3d_slam.matching.refine import fit_planar
 from sl3d_slam.registration import field_agreement
 from sl3d_slam.relocalization.retrieval import MapGuess, MapRetrieval
 from sl3d_slam.types import Relocalization, View
@@ -97,41 +95,27 @@ class MapFinder:
         """
         lifted: list[tuple[float, int, Transform]] = []
         for guess in guesses:
-            place = self._place(guess.keyframe).prepared
-            pose = flatten(query, place, guess.T_place_lidar)
-            agreement = float(field_agreement(query, place, pose[None])[0])
+            seen = self._place(guess.keyframe).prepared
+            pose = flatten(query, seen, guess.T_place_lidar)
+            agreement = float(field_agreement(query, seen, pose[None])[0])
             if agreement > MIN_FIELD:
                 score = agreement + LINE_VOTE * guess.score
                 reach_m = self._matching.inlier_distance_m
-                pose = fit_planar(query.verticals, place.verticals, pose, reach_m)
-                lifted.append((score, guess.keyframe, lift(query, place, pose)))
+                pose = fit_planar(query.verticals, seen.verticals, pose, reach_m)
+                lifted.append((score, guess.keyframe, lift(query, seen, pose)))
         lifted.sort(key=lambda one: -one[0])
         found: list[_Found] = []
-        moving = moving_cloud(query.view.cloud) if lifted else None
         for score, keyframe, T_place_lidar in lifted[:NUM_REFINED]:
             if score < RIVAL_SHARE * lifted[0][0] and self._stands(found):
                 break
-            evidence = self._evidence(query, moving, self._place(keyframe), T_place_lidar)
+            place = self._place(keyframe)
+            evidence = gather_near(
+                query, place.prepared, place.dense, T_place_lidar, self._matching
+            )
             if evidence is not None:
                 T_map_lidar = self.places.frame(keyframe) @ evidence.T_target_source
                 found.append(_Found(T_map_lidar, keyframe, evidence))
         return sorted(found, key=lambda one: -one.evidence.log_odds)
-
-    def _evidence(
-        self,
-        query: PreparedView,
-        moving: PointCloud | None,
-        place: _Place,
-        T_guess: Transform,
-    ) -> Evidence | None:
-        """Refine a guess that lines made good by the clouds; None where one has too few points."""
-        if moving is None or place.dense is None:
-            return None
-        aligned = align_near(place.dense, moving, T_guess)
-        evidence = weigh(query, place.prepared, T_guess, aligned, self._matching)
-        lines = query.view.lines, place.prepared.view.lines
-        by_lines = line_information(*lines, evidence.matches, evidence.T_target_source)
-        return replace(evidence, information=fill_free(evidence.information, by_lines))
 
     def _stands(self, found: list[_Found]) -> bool:
         """Tell whether a guess that was refined would do as the answer."""

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from sl3d_slam.geometry.se3 import from_yaw, invert, transform_points
 from sl3d_slam.matching.field import SIZE, build_field, invert_poses, score_poses
@@ -73,6 +74,24 @@ def test_heights_decide_what_is_structure():
     points = np.array([[1.0, 1, 0], [5.0, 5, 0], [9.0, 9, 0]])
     field = build_field(points, np.array([0.4, 4.0, 8.5], np.float32))  # kerb, wall, tree top
     np.testing.assert_allclose(field.points, [[5.25, 5.25]])
+
+
+def test_values_are_those_of_a_distance_transform(rng):
+    """Known to it and to the field: structure nearer than 1.3 m, and street; to the bit."""
+    points = np.column_stack([rng.uniform(-85, 85, (4000, 2)), np.zeros(4000)])
+    heights = rng.choice(np.array([0.1, 1.0, 20.0], np.float32), 4000, p=[0.5, 0.1, 0.4])
+    field = build_field(points, heights)
+    cells = np.floor((points[:, :2] + 80.0) / 0.5).astype(int)
+    drawn = np.all((cells >= 0) & (cells < SIZE), axis=1)
+    masks = np.zeros((2, SIZE, SIZE), bool)
+    for mask, height in zip(masks, (0.1, 1.0), strict=True):
+        mask[tuple(cells[drawn & (heights == np.float32(height))].T)] = True
+    street, gap_m = (
+        ndimage.binary_dilation(masks[0]),
+        0.5 * ndimage.distance_transform_edt(~masks[1]),
+    )
+    expected = np.where(gap_m < 1.3, np.exp(-((gap_m / 0.8) ** 2)), np.where(street, -0.6, 0.0))
+    np.testing.assert_array_equal(field.value, expected.astype(np.float32))
 
 
 def test_nothing_seen_says_nothing():
