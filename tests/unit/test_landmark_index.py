@@ -68,7 +68,7 @@ def test_a_mirror_image_is_not_taken_for_the_place(world):
 
 
 def test_each_triangle_of_overlapping_neighbourhoods_is_stored_once(world):
-    xy, index = world
+    xy, _ = world
     near = neighbourhoods(xy, [[150.0, 150.0]])
     once, again = LandmarkIndex(xy, near), LandmarkIndex(xy, np.tile(near, (3, 1)))
     assert len(once) == len(again) > 100
