@@ -83,17 +83,29 @@ class VoxelCloud:
         return np.arange(len(self.blocks))
 
     def _decoded(self, chosen: Int64[np.ndarray, "C"]) -> Float64[np.ndarray, "M 3"]:
-        parts = [self._block(block) for block in chosen.tolist()]
-        return np.concatenate(parts) if parts else np.zeros((0, 3))
+        parts = [self._blocks(chosen[k : k + BATCH]) for k in range(0, len(chosen), BATCH)]
+        return np.concatenate([np.zeros((0, 3)), *parts])
 
-    def _block(self, block: int) -> Float64[np.ndarray, "M 3"]:
-        number = np.cumsum(unpack(self.keys[self.key_starts[block] : self.key_starts[block + 1]]))
-        means = self.means[self.starts[block] : self.starts[block + 1]].astype(np.int64)
-        corner = self.blocks[block] * (BLOCK_VOXELS, BLOCK_VOXELS, 1)
-        layer, cell = np.divmod(number, BLOCK_VOXELS**2)
-        index = np.stack([cell % BLOCK_VOXELS, cell // BLOCK_VOXELS, layer], axis=1) + corner
+    def _blocks(self, chosen: Int64[np.ndarray, "C"]) -> Float64[np.ndarray, "M 3"]:
+        ends = chosen + 1
+        count = self.starts[ends] - self.starts[chosen]
+        steps = unpack(_slices(self.keys, self.key_starts[chosen], self.key_starts[ends]))
+        total = np.cumsum(steps)
+        before = np.concatenate([[0], total])[np.cumsum(count) - count]
+        means = _slices(self.means, self.starts[chosen], self.starts[ends]).astype(np.int64)
+        corner = self.blocks[chosen] * (BLOCK_VOXELS, BLOCK_VOXELS, 1)
+        layer, cell = np.divmod(total - np.repeat(before, count), BLOCK_VOXELS**2)
+        index = np.stack([cell % BLOCK_VOXELS, cell // BLOCK_VOXELS, layer], axis=1)
         level = means[:, None] // (1, LEVELS, LEVELS**2) % LEVELS
-        return (index + (level + 0.5) / LEVELS) * self.voxel_m
+        return (index + np.repeat(corner, count, axis=0) + (level + 0.5) / LEVELS) * self.voxel_m
+
+
+def _slices(
+    values: np.ndarray, starts: Int64[np.ndarray, "C"], ends: Int64[np.ndarray, "C"]
+) -> np.ndarray:
+    """Return some stretches of an array, one after the other."""
+    parts = [values[a:b] for a, b in zip(starts.tolist(), ends.tolist(), strict=True)]
+    return np.concatenate([values[:0], *parts])
 
 
 def collect_voxels(
