@@ -3,6 +3,7 @@
 import typer
 
 from sl3d_slam.cli.errors import Verbs
+from sl3d_slam.cli.train_calibrate import calibrate
 from sl3d_slam.cli.train_joint import joint
 from sl3d_slam.cli.train_label import label
 from sl3d_slam.cli.train_synthetic import synthetic
@@ -17,4 +18,5 @@ train = typer.Typer(
 train.command("synthetic")(synthetic)
 train.command("label")(label)
 train.command("joint")(joint)
+train.command("calibrate")(calibrate)
 train.command("towns")(towns)
