@@ -4,8 +4,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sl3d_slam.bench import backend, extract, lines, loops, registration, relocalize, scale, slam
-from sl3d_slam.bench.drives import Drive
+from sl3d_slam.bench import (
+    backend,
+    extract,
+    lines,
+    loop_detectors,
+    loops,
+    registration,
+    relocalize,
+    scale,
+    slam,
+    systems,
+)
+from sl3d_slam.bench.drives import Comparison, Drive
 from sl3d_slam.bench.lines_plan import KINDS, LinesBench, make_methods
 from sl3d_slam.bench.registration_plan import RegistrationBench, make_plan
 from sl3d_slam.bench.tables import Table
@@ -64,9 +75,9 @@ def run(
         drives=[drive], distances_m=extent.distances_m, num_pairs=extent.num_pairs, seed=seed
     )
     tables = [
-        slam.run(slam.SlamBench([drive]), out / "slam", command, progress),
+        slam.run(Comparison([drive], tuple(systems.PEERS)), out / "slam", command, progress),
         registration.run(pairs, make_plan(pairs), out / "registration", command, progress),
-        loops.run(loops.LoopBench([drive]), out / "loops", command, progress),
+        loops.run(Comparison([drive], loop_detectors.PEERS), out / "loops", command, progress),
         *_lines(drive, extent, seed, out, command, progress),
         _relocalize(extent, seed, out, command, progress),
         *scale.run(out / "scale", quick, seed, command, progress),

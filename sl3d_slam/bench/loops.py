@@ -1,11 +1,11 @@
 """``sl3d bench loops``: which revisits are recognised, against MapClosures."""
 
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
-from sl3d_slam.bench.drives import Drive
+from sl3d_slam.bench.drives import Comparison, Drive
 from sl3d_slam.bench.loop_detectors import PEERS, Detection
 from sl3d_slam.bench.loop_figures import COLUMNS, FALSE_COLUMNS, NOTES, Curve, false_ones, judge
 from sl3d_slam.bench.loop_pictures import draw_curves
@@ -13,7 +13,6 @@ from sl3d_slam.bench.loop_runner import to_detections
 from sl3d_slam.bench.process import run_runner
 from sl3d_slam.bench.systems import OURS
 from sl3d_slam.bench.tables import Row, Table, write_tables
-from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
 from sl3d_slam.files import prepare_run_folder, write_whole
 
@@ -22,22 +21,8 @@ RUNNER = "sl3d_slam.bench.loop_runner"
 Progress = Callable[[str, int], None]
 
 
-@dataclass(frozen=True, slots=True)
-class LoopBench:
-    """What is compared, on which drives; ``config`` is for this package alone."""
-
-    drives: Sequence[Drive]
-    peers: Sequence[str] = PEERS
-    config: SlamConfig = field(default_factory=SlamConfig)
-
-    def num_steps(self) -> int:
-        """Return how many scans all detectors together will process. Raises InputError."""
-        counts = [drive.count(drive.open(self.config.input)) for drive in self.drives]
-        return sum(counts) * (1 + len(self.peers))
-
-
 def run(
-    bench: LoopBench,
+    bench: Comparison,
     out: Path,
     command: str = "sl3d bench loops",
     progress: Progress = lambda note, steps: None,
@@ -51,9 +36,7 @@ def run(
     OutputError
         where ``out`` cannot be written.
     """
-    unknown = [peer for peer in bench.peers if peer not in PEERS]
-    if unknown:
-        raise InputError(f"{unknown[0]}: unknown peer; expected some of {', '.join(PEERS)}")
+    bench.refuse_unknown_peers(PEERS)
     prepare_run_folder(out)
     rows: list[Row] = []
     wrong: list[Row] = []
@@ -82,7 +65,7 @@ def run(
 
 
 def _detections(
-    bench: LoopBench, drive: Drive, detector: str, progress: Progress
+    bench: Comparison, drive: Drive, detector: str, progress: Progress
 ) -> tuple[str, float, list[Detection]]:
     task = {
         "detector": detector,

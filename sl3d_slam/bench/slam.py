@@ -3,19 +3,17 @@
 Every system runs in a process of its own, one after the other.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from sl3d_slam.bench.drives import Drive
+from sl3d_slam.bench.drives import Comparison
 from sl3d_slam.bench.slam_figures import COLUMNS, NOTES, accuracy, growth
 from sl3d_slam.bench.slam_pictures import draw_bars, draw_paths, draw_series
 from sl3d_slam.bench.slam_process import Answer, run_in_process
 from sl3d_slam.bench.systems import OURS, PEERS
 from sl3d_slam.bench.tables import Row, Table, write_tables
-from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
 from sl3d_slam.files import prepare_run_folder, write_whole
 from sl3d_slam.io.dataset import Dataset
@@ -23,25 +21,8 @@ from sl3d_slam.io.dataset import Dataset
 Progress = Callable[[str, int], None]
 
 
-@dataclass(frozen=True, slots=True)
-class SlamBench:
-    """What is compared: the drives, the other systems (keys of ``PEERS``), our settings.
-
-    The peers run with their own defaults.
-    """
-
-    drives: Sequence[Drive]
-    peers: Sequence[str] = tuple(PEERS)
-    config: SlamConfig = field(default_factory=SlamConfig)
-
-    def num_steps(self) -> int:
-        """Return how many scans all systems together will process. Raises InputError."""
-        counts = [drive.count(drive.open(self.config.input)) for drive in self.drives]
-        return sum(counts) * (1 + len(self.peers))
-
-
 def run(
-    bench: SlamBench,
+    bench: Comparison,
     out: Path,
     command: str = "sl3d bench slam",
     progress: Progress = lambda note, steps: None,
@@ -58,9 +39,7 @@ def run(
     OutputError
         where ``out`` cannot be written.
     """
-    unknown = [peer for peer in bench.peers if peer not in PEERS]
-    if unknown:
-        raise InputError(f"{unknown[0]}: unknown peer; expected some of {', '.join(PEERS)}")
+    bench.refuse_unknown_peers(PEERS)
     prepare_run_folder(out)
     rows: list[Row] = []
     for number, drive in enumerate(bench.drives):

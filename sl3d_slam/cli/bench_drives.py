@@ -40,12 +40,13 @@ def slam(
     quiet: QuietOption = False,
 ) -> None:
     """Whole drives against kiss-slam and KISS-ICP: accuracy, loops, time, memory."""
-    from sl3d_slam.bench.slam import SlamBench, run
+    from sl3d_slam.bench.drives import Comparison
+    from sl3d_slam.bench.slam import run
     from sl3d_slam.cli.progress import Meter
     from sl3d_slam.config import load_config
 
     drives = drives_of(data, sequences, dataset, scans, out_and_back)
-    what = SlamBench(drives, names(peers), load_config(config, overrides or ()))
+    what = Comparison(drives, names(peers), load_config(config, overrides or ()))
     with Meter(what.num_steps(), quiet=quiet) as meter:
         table = run(what, out, command(), meter.advance)
     show([table], out, quiet)
@@ -64,12 +65,13 @@ def loops(
     quiet: QuietOption = False,
 ) -> None:
     """Precision and recall of loops, same direction and reverse, against MapClosures."""
-    from sl3d_slam.bench.loops import LoopBench, run
+    from sl3d_slam.bench.drives import Comparison
+    from sl3d_slam.bench.loops import run
     from sl3d_slam.cli.progress import Meter
     from sl3d_slam.config import load_config
 
     drives = drives_of(data, sequences, dataset, scans, out_and_back)
-    what = LoopBench(drives, names(peers), load_config(config, overrides or ()))
+    what = Comparison(drives, names(peers), load_config(config, overrides or ()))
     with Meter(what.num_steps(), quiet=quiet) as meter:
         table = run(what, out, command(), meter.advance)
     show([table], out, quiet)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from sl3d_slam.bench import growth, peers
-from sl3d_slam.bench.drives import Drive
+from sl3d_slam.bench.drives import Comparison, Drive
 from sl3d_slam.bench.peers import INSTALL, explain_absence, importing
 from sl3d_slam.bench.process import ANSWER, ending, serve
 from sl3d_slam.bench.registration_plan import RegistrationBench, make_plan
-from sl3d_slam.bench.slam import SlamBench, run
+from sl3d_slam.bench.slam import run
 from sl3d_slam.bench.systems import make_system
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError, MissingExtraError
@@ -109,7 +109,7 @@ def test_a_missing_peer_has_a_row_and_the_others_still_run(drive, tmp_path, monk
     )
     monkeypatch.setenv("PYTHONPATH", str(hide.parent))
     told = []
-    bench = SlamBench([drive], ("kiss-slam",))
+    bench = Comparison([drive], ("kiss-slam",))
     table = run(bench, tmp_path / "out", progress=lambda system, n: told.append((system, n)))
     ours, missing = table.rows
     assert ours["status"] == "ok"
@@ -152,7 +152,7 @@ def test_kiss_icp_gives_a_pose_a_scan_and_no_loops(drive):
 
 def test_unknown_peers_are_refused_before_anything_runs(drive, tmp_path):
     with pytest.raises(InputError, match="orb-slam"):
-        run(SlamBench([drive], ("orb-slam",)), tmp_path / "out")
+        run(Comparison([drive], ("orb-slam",)), tmp_path / "out")
     assert not (tmp_path / "out").exists()
     with pytest.raises(InputError, match="teaser"):
         make_plan(RegistrationBench([drive], peers=("teaser",)))
