@@ -46,7 +46,7 @@ class Extent:
 
 
 QUICK = Extent(clouds=240, epochs=1, points=1000, test_clouds=12, width=32, neighbours=20)
-FULL = Extent(clouds=4000, epochs=2, points=5000, test_clouds=100, width=64, neighbours=20)
+FULL = Extent(clouds=4000, epochs=1, points=1500, test_clouds=60, width=48, neighbours=20)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ def towns(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the towns go.")],
     quiet: QuietOption = False,
 ) -> None:
-    """Simulate the fifteen towns of the shipped weights, and 40, which is held out."""
+    """Simulate the 25 towns of the shipped weights, and 40, which is held out."""
     from sl3d_slam.cli.progress import Meter
     from sl3d_slam.learning.towns import HELD_OUT, TOWNS, simulate_towns
 

@@ -45,6 +45,16 @@ TOWNS = (
     TownPlan(33, "08", 3000, 90),
     TownPlan(34, "10", 600, 90),
     TownPlan(35, "00", 1200, 90),
+    TownPlan(60, "00", 200, 90),
+    TownPlan(61, "00", 3400, 90),
+    TownPlan(62, "02", 3300, 90),
+    TownPlan(63, "02", 4000, 90),
+    TownPlan(64, "05", 800, 90),
+    TownPlan(65, "05", 2200, 90),
+    TownPlan(66, "08", 700, 90),
+    TownPlan(67, "08", 1400, 90),
+    TownPlan(69, "04", 0, 90),
+    TownPlan(71, "08", 2600, 90),
 )
 HELD_OUT = TownPlan(40, "06", 0, 80)
 
