@@ -11,7 +11,8 @@ from sl3d_slam.config import LineSettings
 from sl3d_slam.geometry.se3 import Points
 from sl3d_slam.lines.geometric import find_uprights, to_lidar
 from sl3d_slam.lines.grown import grow_uprights
-from sl3d_slam.lines.network.inference import Inference, Network
+from sl3d_slam.lines.network.answer import Inference
+from sl3d_slam.lines.network.inference import Network
 from sl3d_slam.lines.network.sample import network_points
 from sl3d_slam.lines.poles import Upright
 from sl3d_slam.lines.scene import Scene, make_scene
@@ -42,7 +43,9 @@ def learned_lines(points_lidar: Points, settings: LineSettings, network: Network
     order = _best_apart(endpoints, scores, settings.max_lines)
     return LineSet(
         endpoints=to_lidar(scene, endpoints[order]),
-        descriptors=_describe(network, inference, [members[i] for i in order]),
+        descriptors=_describe(
+            inference, [members[i] for i in order], network.settings.descriptor_dim
+        ),
         num_points=np.array([uprights[i].num_points for i in order], np.int64),
         kinds=np.array([kinds[i] for i in order], np.uint8),
         scores=scores[order].astype(np.float32),
@@ -136,14 +139,14 @@ def _best_apart(
 
 
 def _describe(
-    network: Network, inference: Inference, members: list[Int64[np.ndarray, "_"]]
+    inference: Inference, members: list[Int64[np.ndarray, "_"]], dimension: int
 ) -> Float32[np.ndarray, "L D"]:
     """Return the mean descriptor of each line's points, weighted by their probability."""
-    means = np.zeros((len(members), network.settings.descriptor_dim), np.float32)
+    means = np.zeros((len(members), dimension), np.float32)
     if len(members) == 0:
         return means
     rows = np.concatenate(members)
-    weighted = network.describe(inference, rows) * inference.probability[rows, None]
+    weighted = inference.describe(rows) * inference.probability[rows, None]
     line = np.repeat(np.arange(len(members)), [len(points) for points in members])
     np.add.at(means, line, weighted)
     return means / np.maximum(np.linalg.norm(means, axis=1, keepdims=True), 1e-12)

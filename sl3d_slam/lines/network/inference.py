@@ -1,61 +1,52 @@
 """The trained network as the extraction uses it: points in, numpy out."""
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Union
 
 import numpy as np
-import torch
-from jaxtyping import Float32, Int64
+from jaxtyping import Float32
 
-from sl3d_slam.errors import InputError
-from sl3d_slam.lines.network.model import LINE
+from sl3d_slam.lines.network.answer import Inference
+from sl3d_slam.lines.network.compiled import CompiledModel
 from sl3d_slam.lines.network.neighbours import skip_neighbours
-from sl3d_slam.lines.network.weights_file import load_weights, model_hash
+from sl3d_slam.lines.network.settings import NetworkSettings
+from sl3d_slam.lines.network.weights_format import Tensors, hash_of, read_weights
+
+if TYPE_CHECKING:
+    from sl3d_slam.lines.network.torch_model import TorchModel
 
 
 class Network:
-    """A network ready for use, on a device of torch's."""
+    """A network ready for use: compiled on the processor, with torch on any other device.
+
+    Raises
+    ------
+    InputError
+        where the weights cannot be used or torch does not know the device.
+    """
 
     def __init__(self, weights: Path, device: str = "cpu") -> None:
-        model = load_weights(weights)
-        self.name = f"superline3d-{model_hash(model)}"
-        self.settings = model.settings
-        try:
-            self._device = torch.device(device)
-            self._model = model.to(self._device)
-        except (RuntimeError, AssertionError):
-            raise InputError(f"device {device}: not one that torch can use here") from None
+        self.settings, tensors = read_weights(weights)
+        self.name = f"superline3d-{hash_of(self.settings, tensors)}"
+        self._model = _model(self.settings, tensors, device)
 
-    def infer(self, points: Float32[np.ndarray, "M 4"]) -> "Inference":
+    def infer(self, points: Float32[np.ndarray, "M 4"]) -> Inference:
         """Return what the network makes of points.
 
         They are those of :func:`sl3d_slam.lines.network.sample.network_points`, levelled.
         """
         if len(points) == 0:
-            return Inference(np.zeros(0, np.float32), torch.zeros(0, 1))
+            nothing = np.zeros((0, self.settings.descriptor_dim), np.float32)
+            return Inference(np.zeros(0, np.float32), lambda rows: nothing[rows])
         neighbours = skip_neighbours(points, self.settings.num_neighbours, self.settings.stride)
-        with torch.inference_mode():
-            encoded = self._model.encode(
-                torch.from_numpy(points).to(self._device),
-                torch.from_numpy(neighbours).to(self._device),
-            )
-            probability = torch.softmax(self._model.segmentation(encoded), dim=1)[:, LINE]
-        return Inference(probability.cpu().numpy(), encoded)
-
-    def describe(
-        self, inference: "Inference", rows: Int64[np.ndarray, "P"]
-    ) -> Float32[np.ndarray, "P D"]:
-        """Return the unit descriptors of some of the points of an inference."""
-        if len(rows) == 0:
-            return np.zeros((0, self.settings.descriptor_dim), np.float32)
-        with torch.inference_mode():
-            chosen = inference.encoded[torch.from_numpy(rows).to(self._device)]
-            return self._model.describe(chosen).cpu().numpy()
+        return self._model.infer(points, neighbours)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Inference:
-    """Line probability per point, and the features that descriptors are made of on demand."""
+def _model(
+    settings: NetworkSettings, tensors: Tensors, device: str
+) -> Union[CompiledModel, "TorchModel"]:
+    if device == "cpu" and settings.neighbours == "space":
+        return CompiledModel(settings, tensors)
+    from sl3d_slam.lines.network.torch_model import TorchModel
 
-    probability: Float32[np.ndarray, "M"]
-    encoded: Float32[torch.Tensor, "M E"]
+    return TorchModel(settings, tensors, device)

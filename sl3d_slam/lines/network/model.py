@@ -11,13 +11,15 @@ import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor, nn
 
-from sl3d_slam.lines.network.context import Context, find_cells
+from sl3d_slam.lines.network.cells import find_cells
+from sl3d_slam.lines.network.context import Context
 from sl3d_slam.lines.network.edgeconv import EdgeConv, OffsetConv
 from sl3d_slam.lines.network.feature_space import nearest_in_features
-from sl3d_slam.lines.network.offsets import edge_inputs, num_inputs
-from sl3d_slam.lines.network.settings import NetworkSettings
+from sl3d_slam.lines.network.offsets import edge_inputs
+from sl3d_slam.lines.network.settings import LINE, NetworkSettings
+from sl3d_slam.lines.network.shapes import num_inputs
 
-LINE = 1
+__all__ = ["LINE", "SuperLine3D"]
 
 
 class SuperLine3D(nn.Module):
@@ -77,7 +79,7 @@ class SuperLine3D(nn.Module):
         if self.context is None:
             return joined
         cells = find_cells(places[:, :3], np.repeat(np.arange(len(sizes)), sizes))
-        return torch.cat([joined, self.context(joined, cells.to(device))], dim=1)
+        return torch.cat([joined, self.context(joined, cells)], dim=1)
 
     def describe(self, encoded: Float32[Tensor, "M E"]) -> Float32[Tensor, "M D"]:
         """Return unit descriptors of encoded points; any subset of them will do."""

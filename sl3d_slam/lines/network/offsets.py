@@ -21,21 +21,15 @@ def edge_inputs(
     Eq. 1 and 3 of the paper: ``f = sum_j (p - q_j) / sum_j |p - q_j|``, and
     ``(p - q_j) / sum_j |p - q_j| - f``. With heights, the point's own height is a fourth number.
     """
-    offsets = _offsets(points, neighbours, settings.axes == "own")
+    with_heights = settings.heights and not settings.scale_invariant
+    edges = np.empty((*neighbours.shape, 4 if with_heights else 3), np.float32)
+    _write_offsets(points, neighbours, settings.axes == "own", edges)
     if settings.scale_invariant:
-        return scale_free(offsets)
-    if not settings.heights:
-        return offsets
-    height = np.clip(points[:, 3], 0.0, MAX_HEIGHT_M) / HEIGHT_UNIT_M
-    own = np.broadcast_to(height[:, None, None], (*neighbours.shape, 1))
-    return np.concatenate([offsets, own], axis=2).astype(np.float32)
-
-
-def num_inputs(settings: NetworkSettings) -> int:
-    """Return C of :func:`edge_inputs`."""
-    if settings.scale_invariant:
-        return 6
-    return 4 if settings.heights else 3
+        return scale_free(edges)
+    if with_heights:
+        height = np.clip(points[:, 3], 0.0, MAX_HEIGHT_M) / HEIGHT_UNIT_M
+        edges[:, :, 3] = height[:, None]
+    return edges
 
 
 def scale_free(offsets: Float32[np.ndarray, "M k 3"]) -> Float32[np.ndarray, "M k 6"]:
@@ -48,21 +42,21 @@ def scale_free(offsets: Float32[np.ndarray, "M k 3"]) -> Float32[np.ndarray, "M 
 
 @njit(cache=True, parallel=True)
 @no_type_check
-def _offsets(points: np.ndarray, neighbours: np.ndarray, own_axes: bool) -> np.ndarray:
-    """Return offsets (M, k, 3), turned about z into each neighbourhood's own axes if asked.
+def _write_offsets(
+    points: np.ndarray, neighbours: np.ndarray, own_axes: bool, edges: np.ndarray
+) -> None:
+    """Write offsets to ``edges`` (M, k, 3 or more), turned about z into own axes if asked.
 
-    Those are the horizontal principal directions of the offsets, each pointing to the side that
-    their mean lies on, so that they turn with the cloud.
+    Those are the horizontal principal directions of a neighbourhood's offsets, each pointing to
+    the side that their mean lies on, so that they turn with the cloud.
     """
     count, k = neighbours.shape
-    result = np.empty((count, k, 3), np.float32)
     for i in prange(count):
         for j in range(k):
             for axis in range(3):
-                result[i, j, axis] = points[neighbours[i, j], axis] - points[i, axis]
+                edges[i, j, axis] = points[neighbours[i, j], axis] - points[i, axis]
         if own_axes:
-            _turn(result[i])
-    return result
+            _turn(edges[i])
 
 
 @njit(cache=True)

@@ -6,6 +6,8 @@ from pydantic import Field
 
 from sl3d_slam.config import Settings
 
+LINE = 1  # of the two classes; 0 is the background
+
 
 class NetworkSettings(Settings):
     """What a network looks like and what it wants to be fed.
