@@ -14,6 +14,7 @@ from sl3d_slam.graph.verdicts import Verdict
 from sl3d_slam.types import LoopConstraint
 
 NUM_EXTRA_UPDATES = 2  # after a loop; later keyframes go on relinearising what still moves
+RELINEARIZE_SKIP = 10  # keyframes between two looks for what moved far: each look costs time
 MAX_FINAL_UPDATES = 20  # when settling, until nothing is relinearised any more
 
 
@@ -28,7 +29,8 @@ class PoseGraph:
         self._arbiter = LoopArbiter(settings)
         parameters = gtsam.ISAM2Params()
         parameters.setRelinearizeThreshold(0.05)
-        parameters.relinearizeSkip = 1
+        parameters.relinearizeSkip = RELINEARIZE_SKIP
+        parameters.enablePartialRelinearizationCheck = True  # else it looks at every keyframe
         self._isam = gtsam.ISAM2(parameters)
         self._factor_ids: dict[int, int] = {}  # of the accepted loops, by verdict index
         self._keyframe_ids: list[int] = []
@@ -123,7 +125,7 @@ class PoseGraph:
                 )
             )
         removed = [self._factor_ids.pop(index) for index in leaving]
-        result = self._update(graph, gtsam.Values(), removed)
+        result = self._update(graph, gtsam.Values(), removed, relinearize=True)
         for verdict, factor_id in zip(entering, result.getNewFactorsIndices(), strict=True):
             self._factor_ids[verdict.index] = int(factor_id)
         self._relax(NUM_EXTRA_UPDATES)
@@ -134,10 +136,14 @@ class PoseGraph:
         graph: gtsam.NonlinearFactorGraph | None = None,
         values: gtsam.Values | None = None,
         removed: Sequence[int] = (),
+        relinearize: bool = False,
     ) -> gtsam.ISAM2Result:
+        parameters = gtsam.ISAM2UpdateParams()
+        parameters.removeFactorIndices = list(removed)
+        parameters.force_relinearize = relinearize
         try:
             return self._isam.update(
-                graph or gtsam.NonlinearFactorGraph(), values or gtsam.Values(), list(removed)
+                graph or gtsam.NonlinearFactorGraph(), values or gtsam.Values(), parameters
             )
         except RuntimeError as error:
             cause = " ".join(str(error).split(". ", 1)[0].split())
@@ -146,5 +152,5 @@ class PoseGraph:
     def _relax(self, max_updates: int) -> None:
         """Let iSAM2 iterate: one update is one linearisation, and a loop moves much."""
         for _ in range(max_updates):
-            if self._update().getVariablesRelinearized() == 0:
+            if self._update(relinearize=True).getVariablesRelinearized() == 0:
                 return

@@ -12,12 +12,15 @@ from sl3d_slam.geometry.se3 import Points, Transform
 MAX_RANGE_M = 70.0
 MIN_POINTS = 100
 NEIGHBOURS = 12
-STAGES = ((3.0, 2.0), (1.0, 1.0))  # largest correspondence distance, voxel of the moving cloud
+# largest correspondence distance, voxel of the moving cloud; a last stage of 1 m and 1 m leaves
+# twice the error
+STAGES = ((3.0, 2.0), (0.6, 0.7))
 UNITS = np.repeat([np.radians(0.015), 0.01], 3)  # a step of each that moves a scan about equally
-# Calibrated on simulated and real drives, see information_of
-COVARIANCE_SCALE = 5.5  # neighbouring points err together
-MIN_SIGMAS = np.array([np.radians(0.01), np.radians(0.01), np.radians(0.004), 2e-3, 2e-3, 2e-3])
-FAR_M = 40.0  # between the views: there they share so little that the covariance has doubled
+# Calibrated on simulated drives, see information_of
+COVARIANCE_SCALE = 1.7
+USUAL_MISFIT, LEAST_MISFIT = 0.15, 0.05
+MIN_SIGMAS = np.repeat([np.radians(0.003), 5e-4], 3)
+FAR_M = 75.0  # between the views: there they share so little that the covariance has doubled
 # GICP's surfaces hold a little along themselves, too (1 to 1,000): a bare corridor reaches 0.0024
 # of the best-held direction, a street slid by 4 m 0.0038, true pairs 25 m apart on real streets
 # 0.0064 and more
@@ -43,11 +46,19 @@ class DenseCloud:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DenseAlignment:
-    """Where GICP ended; the Hessian is rotation first, at the source frame."""
+    """Where GICP ended.
+
+    Attributes
+    ----------
+    hessian : rotation first, at the source frame.
+    overlap : share of the moving points that found a partner.
+    misfit : GICP's mean cost of those.
+    """
 
     T_target_source: Transform
     hessian: Float64[np.ndarray, "6 6"]
     overlap: float
+    misfit: float = USUAL_MISFIT
 
 
 def coarse_cloud(points_lidar: Points, voxel_m: float) -> Float32[np.ndarray, "M 3"]:
@@ -78,28 +89,42 @@ def align(target: DenseCloud, source: DenseCloud, T_target_source: Transform) ->
         )
         T = np.asarray(result.T_target_source)
     assert result is not None
-    overlap = result.num_inliers / max(1, source.moving[-1].size())
-    return DenseAlignment(T, np.asarray(result.H), float(overlap))
+    return alignment_of(result, source.moving[-1].size())
+
+
+def alignment_of(result: small_gicp.RegistrationResult, num_moving: int) -> DenseAlignment:
+    """Keep what counts of small_gicp's answer."""
+    return DenseAlignment(
+        np.asarray(result.T_target_source),
+        np.asarray(result.H),
+        overlap=float(result.num_inliers / max(1, num_moving)),
+        misfit=float(result.error / max(1, result.num_inliers)),
+    )
 
 
 def information_of(alignment: DenseAlignment) -> Float64[np.ndarray, "6 6"]:
     """Return the calibrated information of an alignment (rotation first, source frame).
 
-    GICP's Hessian takes every point as independent and every surface as flat, so its inverse is
-    too small. The covariance is ``COVARIANCE_SCALE H^-1`` plus least variances, all of it growing
-    with the distance between the views. Directions that no point fixes stay exactly zero.
+    GICP's Hessian H takes every point as independent and every surface as flat, so its inverse is
+    too small, the more so the worse the surfaces lie on each other. The covariance is
+    ``COVARIANCE_SCALE (misfit / USUAL_MISFIT)^2 (H^-1 + least variances)``, growing with the
+    distance between the views. Directions that no point fixes stay exactly zero.
 
-    Calibrated on 419 pairs of views up to 30 m apart in three simulated towns (one HDL-64, two
-    HDL-32), so that the mean normalised error squared is about six for six degrees of freedom;
-    single pairs reach some hundred. ``sl3d bench covariance`` measures it on any drive with true
-    poses: those of real drives by GPS are centimetres off themselves, so there it comes out larger.
+    Calibrated on 285 pairs of views up to 45 m apart in six simulated towns (HDL-64 and HDL-32),
+    so that the mean normalised error squared is six for six degrees of freedom. In six other towns
+    (also an OS1-128) it was then 5.1 to 6.8, median 3.7 to 5.0; without the misfit 2.7 to 7.4.
+    Single pairs reach 30, from an HDL-32 some 100 (its rings are too far apart beyond 30 m to
+    show how a surface lies: pitch errs by up to 0.2 deg). ``sl3d bench covariance`` measures it on
+    any drive with true poses: those of real drives by GPS are centimetres off themselves, so there
+    it comes out larger.
     """
     values, vectors = np.linalg.eigh(alignment.hessian * np.outer(UNITS, UNITS))
     fixed = values > FREE_RATIO * max(float(values[-1]), 1e-12)
     basis = vectors[:, fixed]
     distance_m = float(np.linalg.norm(alignment.T_target_source[:3, 3]))
     least = (basis.T * (MIN_SIGMAS / UNITS) ** 2) @ basis
-    covariance = np.diag(COVARIANCE_SCALE / values[fixed]) + least
-    covariance *= 1.0 + (distance_m / FAR_M) ** 2
+    misfit = max(alignment.misfit, LEAST_MISFIT) / USUAL_MISFIT
+    growth = misfit**2 * (1.0 + (distance_m / FAR_M) ** 2)
+    covariance = COVARIANCE_SCALE * growth * (np.diag(1.0 / values[fixed]) + least)
     information = basis @ np.linalg.inv(covariance) @ basis.T
     return 0.5 * (information + information.T) / np.outer(UNITS, UNITS)

@@ -55,10 +55,7 @@ def align_near(
         max_correspondence_distance=REACH_M,
         max_iterations=MAX_STEPS,
     )
-    overlap = result.num_inliers / max(1, moving.size())
-    return dense.DenseAlignment(
-        np.asarray(result.T_target_source), np.asarray(result.H), float(overlap)
-    )
+    return dense.alignment_of(result, moving.size())
 
 
 def _weighted_fit(
