@@ -30,7 +30,7 @@ def learned_lines(points_lidar: Points, settings: LineSettings, network: Network
     Candidates are what geometry proposes, whose axes are the most precise, and where it proposes
     nothing the segments grown from the points that the network calls lines; all are fitted on the
     full scan. The network then ranks and describes them: by the mean line probability of the points
-    along each, times the root of the fit's score, and by their mean descriptor.
+    along each and the fit's score, which count alike, and by their mean descriptor.
     """
     scene = make_scene(points_lidar, settings)
     points = network_points(points_lidar, network.settings, up=scene.R_level_lidar[2])
@@ -39,7 +39,7 @@ def learned_lines(points_lidar: Points, settings: LineSettings, network: Network
     uprights, kinds, members = _candidates(scene, points, inference.probability, settings)
     endpoints = _segments(uprights)
     fits = np.array([upright.score for upright in uprights])
-    scores = np.sqrt(fits) * _mean_probability(members, inference.probability)
+    scores = np.sqrt(fits * _mean_probability(members, inference.probability))
     order = _best_apart(endpoints, scores, settings.max_lines)
     return LineSet(
         endpoints=to_lidar(scene, endpoints[order]),
