@@ -4,8 +4,11 @@ Nothing in it depends on the heading; little depends on the viewpoint. It is the
 learned descriptor has to beat.
 """
 
+from typing import no_type_check
+
 import numpy as np
 from jaxtyping import Float32, Float64
+from numba import njit
 
 from sl3d_slam.geometry.se3 import Points
 
@@ -61,14 +64,38 @@ def _context(
     layer = np.digitize(heights, HEIGHT_EDGES_M) - 1
     kept = (layer >= 0) & (layer < 4)
     cells = np.floor(points[kept, :2] / CONTEXT_CELL_M).astype(np.int64)
-    keys = np.unique((cells[:, 0] * 100_003 + cells[:, 1]) * 4 + layer[kept])
-    flat, layers = keys // 4, keys % 4
-    x = np.round(flat / 100_003).astype(np.int64)
-    centres = (np.c_[x, flat - x * 100_003] + 0.5) * CONTEXT_CELL_M
-    distance = np.linalg.norm(places[:, None] - centres[None], axis=2)
-    ring = np.digitize(distance, RING_EDGES_M) - 1
+    if len(cells) == 0:
+        return np.zeros((len(places), 16))
+    corner = cells.min(axis=0)
+    occupied = np.zeros((*(cells.max(axis=0) - corner + 1), 4), np.bool_)
+    occupied[cells[:, 0] - corner[0], cells[:, 1] - corner[1], layer[kept]] = True
+    return np.log1p(_occupied_rings(places, occupied, corner))
+
+
+@njit(cache=True)
+@no_type_check
+def _occupied_rings(places: np.ndarray, occupied: np.ndarray, corner: np.ndarray) -> np.ndarray:
+    """Count the occupied cells around places (L, 2) by ring and layer (L, 16)."""
     histogram = np.zeros((len(places), 16))
-    for r in range(4):
-        for a in range(4):
-            histogram[:, 4 * r + a] = ((ring == r) & (layers == a)).sum(axis=1)
-    return np.log1p(histogram)
+    reach = int(np.ceil(RING_EDGES_M[-1] / CONTEXT_CELL_M)) + 1
+    for i in range(len(places)):
+        cx = int(np.floor(places[i, 0] / CONTEXT_CELL_M)) - corner[0]
+        cy = int(np.floor(places[i, 1] / CONTEXT_CELL_M)) - corner[1]
+        for x in range(max(cx - reach, 0), min(cx + reach + 1, occupied.shape[0])):
+            for y in range(max(cy - reach, 0), min(cy + reach + 1, occupied.shape[1])):
+                dx = places[i, 0] - (x + corner[0] + 0.5) * CONTEXT_CELL_M
+                dy = places[i, 1] - (y + corner[1] + 0.5) * CONTEXT_CELL_M
+                ring = _ring(np.sqrt(dx * dx + dy * dy))
+                if 0 <= ring < 4:
+                    for layer in range(4):
+                        histogram[i, 4 * ring + layer] += occupied[x, y, layer]
+    return histogram
+
+
+@njit(cache=True)
+@no_type_check
+def _ring(distance: float) -> int:
+    ring = -1
+    for edge in RING_EDGES_M:
+        ring += distance >= edge
+    return ring

@@ -6,15 +6,13 @@ from jaxtyping import Float64, Int64
 from sl3d_slam.lines.poles import Upright
 from sl3d_slam.lines.scene import Scene
 from sl3d_slam.lines.view import hidden_share
+from sl3d_slam.lines.wall_fit import SLICE_M, straight_end
 from sl3d_slam.lines.walls import Wall, find_walls
 
 CORNER_REACH_M = 0.4
 CORNER_SUPPORT_M = 0.8
 MIN_CORNER_SINE = 0.5
-END_BAND_M = 0.35
 END_ZONE_M = 1.0
-SLICE_M = 0.3
-MAX_END_SPREAD_M = 0.12
 MIN_END_HEIGHT_M = 1.0
 HIDDEN_MARGIN_M = 0.4
 MAX_HIDDEN_SHARE = 0.3
@@ -87,8 +85,8 @@ def _end(
     limit = wall.positions[-1] if sign > 0 else wall.positions[0]
     near = wall.near(float(limit), END_ZONE_M)
     outward = sign * (scene.points[near, :2] @ wall.along)
-    band = _straight_end(scene.points[near, 2], outward)
-    if band is None:
+    band = straight_end(scene.points[near, 2], outward)
+    if len(band) == 0:
         return None
     place = wall.normal * wall.offset + wall.along * sign * float(outward[band].max())
     if len(taken) and np.linalg.norm(taken - place, axis=1).min() < CORNER_SUPPORT_M:
@@ -102,22 +100,6 @@ def _end(
     if _goes_on(scene, place, sign * wall.along, (low, high)):
         return None
     return _upright(scene, place, (low, high), int(scene.counts[voxels].sum()), END_SCORE)
-
-
-def _straight_end(
-    z: Float64[np.ndarray, "N"], outward: Float64[np.ndarray, "N"]
-) -> Int64[np.ndarray, "M"] | None:
-    """Return the points at an end that most slices of height agree on, or None."""
-    slices = np.floor((z - z.min()) / SLICE_M).astype(np.int64)
-    reach = np.full(slices.max() + 1, -np.inf)
-    np.maximum.at(reach, slices, outward)
-    seen = np.isfinite(reach)
-    middle = float(np.median(reach[seen]))
-    good = np.abs(reach - middle) < MAX_END_SPREAD_M
-    if good.sum() < 3 or good.sum() < 0.6 * seen.sum():
-        return None
-    close = (outward > middle - END_BAND_M) & (outward < middle + MAX_END_SPREAD_M)
-    return np.flatnonzero(close & good[slices])
 
 
 def _is_hidden(

@@ -99,3 +99,48 @@ def cell_index(
         order[filled[cell_of[i]]] = i
         filled[cell_of[i]] += 1
     return order, start
+
+
+@njit(cache=True)
+@no_type_check
+def rows_in_square(
+    start: np.ndarray, half_width_m: float, cell_m: float, place: np.ndarray, radius_m: float
+) -> np.ndarray:
+    """Return the points in the cells that a square around a place touches.
+
+    ``start`` is :func:`cell_index`'s, of points that are sorted by cell; the square has half side
+    ``radius_m``.
+    """
+    size = int(np.ceil(2 * half_width_m / cell_m))
+    low, high = np.empty(2, np.int64), np.empty(2, np.int64)
+    for axis in range(2):
+        centre = place[axis] + half_width_m
+        low[axis] = min(max(int(np.floor((centre - radius_m) / cell_m)), 0), size - 1)
+        high[axis] = min(max(int(np.floor((centre + radius_m) / cell_m)), 0), size - 1)
+    count = 0
+    for row in range(low[0], high[0] + 1):
+        count += start[row * size + high[1] + 1] - start[row * size + low[1]]
+    rows = np.empty(count, np.int64)
+    count = 0
+    for row in range(low[0], high[0] + 1):
+        for i in range(start[row * size + low[1]], start[row * size + high[1] + 1]):
+            rows[count] = i
+            count += 1
+    return rows
+
+
+@njit(cache=True)
+@no_type_check
+def gathered(
+    members: np.ndarray, first: np.ndarray, stop: np.ndarray, R_a_b: np.ndarray
+) -> np.ndarray:
+    """Return the members of some groups, from ``first`` to before ``stop`` each, turned to a."""
+    points = np.empty(((stop - first).sum(), 3))
+    count = 0
+    for group in range(len(first)):
+        for i in range(first[group], stop[group]):
+            x, y, z = members[i, 0], members[i, 1], members[i, 2]
+            for axis in range(3):
+                points[count, axis] = R_a_b[axis, 0] * x + R_a_b[axis, 1] * y + R_a_b[axis, 2] * z
+            count += 1
+    return points

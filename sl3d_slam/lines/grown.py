@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from sl3d_slam.lines.fit import axis_behind, fit_upright
 from sl3d_slam.lines.poles import MAX_RADIUS_M, Upright
 from sl3d_slam.lines.scene import Scene, vertical_gap_m
+from sl3d_slam.lines.wall_fit import meeting_of_walls
 from sl3d_slam.types import LineKind
 
 MIN_PROBABILITY = 0.3
@@ -131,32 +132,9 @@ def _corner_near(
     near = scene.around(place, SHEET_REACH_M)
     z = scene.points[near, 2]
     near = near[(z > span[0]) & (z < span[1]) & (scene.structure[near, 4] < MAX_THICKNESS_M)]
-    if len(near) < 2 * MIN_SHEET_VOXELS:
-        return None
-    normals, offset = scene.structure[near, 2:4], scene.points[near, :2] - place
-    cosine = np.abs(normals @ normals.T)
-    first = cosine[np.argmax((cosine > 0.95).sum(axis=1))] > 0.95
-    across = np.flatnonzero(cosine[np.flatnonzero(first)[0]] < np.sqrt(1 - MIN_CORNER_SINE**2))
-    if len(across) < MIN_SHEET_VOXELS:
-        return None
-    inner = cosine[np.ix_(across, across)] > 0.95
-    second = across[inner[np.argmax(inner.sum(axis=1))]]
-    if first.sum() < MIN_SHEET_VOXELS or len(second) < MIN_SHEET_VOXELS:
-        return None
-    planes = [_plane(offset[rows]) for rows in (np.flatnonzero(first), second)]
-    matrix = np.array([normal for normal, _ in planes])
-    if abs(np.linalg.det(matrix)) < MIN_CORNER_SINE:
-        return None
-    meeting = np.linalg.solve(matrix, np.array([distance for _, distance in planes]))
-    return place + meeting if np.linalg.norm(meeting) < CORNER_REACH_M else None
-
-
-def _plane(plan: Float64[np.ndarray, "N 2"]) -> tuple[Float64[np.ndarray, "2"], float]:
-    """Fit a line seen from above with weights that ignore what stands off it."""
-    weights = np.ones(len(plan))
-    for _ in range(4):
-        mean = weights @ plan / weights.sum()
-        centred = plan - mean
-        normal = np.linalg.eigh((centred * weights[:, None]).T @ centred)[1][:, 0]
-        weights = 1.0 / (1.0 + (centred @ normal / 0.05) ** 2) ** 2
-    return normal, float(normal @ mean)
+    offset = scene.points[near, :2] - place
+    meeting = meeting_of_walls(
+        scene.structure[near, 2:4], offset, MIN_SHEET_VOXELS, MIN_CORNER_SINE
+    )
+    # nowhere is not near
+    return place + meeting if np.hypot(meeting[0], meeting[1]) < CORNER_REACH_M else None

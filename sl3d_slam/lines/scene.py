@@ -8,7 +8,7 @@ from jaxtyping import Float64, Int64
 from sl3d_slam.config import LineSettings
 from sl3d_slam.geometry.ground import UP, heights_above_ground, up_direction
 from sl3d_slam.geometry.se3 import Points, rotation_between
-from sl3d_slam.lines.grid import cell_index, voxel_means
+from sl3d_slam.lines.grid import cell_index, gathered, rows_in_square, voxel_means
 from sl3d_slam.lines.structure import CELL_M, local_structure
 from sl3d_slam.lines.view import nearest_ranges
 
@@ -48,24 +48,12 @@ class Scene:
 
     def around(self, place: Float64[np.ndarray, "2"], radius_m: float) -> Int64[np.ndarray, "M"]:
         """Return the voxels in the square of half side ``radius_m`` (or a cell more) at a place."""
-        order, start = self.index
-        size = int(np.ceil(2 * self.half_width_m / CELL_M))
-        low = np.clip((place - radius_m + self.half_width_m) // CELL_M, 0, size - 1).astype(int)
-        high = np.clip((place + radius_m + self.half_width_m) // CELL_M, 0, size - 1).astype(int)
-        rows = [
-            order[start[row * size + low[1]] : start[row * size + high[1] + 1]]
-            for row in range(low[0], high[0] + 1)
-        ]
-        return np.concatenate(rows)
+        return rows_in_square(self.index[1], self.half_width_m, CELL_M, place, radius_m)
 
     def returns_of(self, voxels: Int64[np.ndarray, "V"]) -> Points:
         """Return all returns of the given voxels."""
-        groups = [
-            self.members[first:last]
-            for first, last in zip(self.member_start[voxels], self.member_stop[voxels], strict=True)
-        ]
-        joined = np.concatenate([np.zeros((0, 3)), *groups])
-        return np.ascontiguousarray(joined @ self.R_level_lidar.T)
+        first, stop = self.member_start[voxels], self.member_stop[voxels]
+        return gathered(self.members, first, stop, self.R_level_lidar)
 
 
 def vertical_gap_m(ranges_m: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from jaxtyping import Float64, Int64
 
 from sl3d_slam.lines.scene import Scene
 from sl3d_slam.lines.sheets import grow_sheets
+from sl3d_slam.lines.wall_fit import connected_on_plane, fit_plane
 
 MAX_THICKNESS_M = 0.08
 MIN_WIDTH_M = 0.12
@@ -63,35 +64,14 @@ def _fit_wall(scene: Scene, voxels: Int64[np.ndarray, "N"]) -> Wall | None:
     if np.sort(scene.heights[voxels])[int(0.98 * (len(voxels) - 1))] < MIN_TOP_M:
         return None
     plan = scene.points[voxels, :2]
-    weights = np.ones(len(plan))
-    for _ in range(4):
-        mean = weights @ plan / weights.sum()
-        centred = plan - mean
-        vectors = np.linalg.eigh((centred * weights[:, None]).T @ centred)[1]
-        weights = 1.0 / (1.0 + (centred @ vectors[:, 0] / 0.05) ** 2) ** 2
-    along, normal = vectors[:, 1], vectors[:, 0]
+    normal, offset = fit_plane(plan)
+    along = np.array([normal[1], -normal[0]])
     positions = np.sort(plan @ along)
     first, last = positions[len(positions) // 50], positions[-1 - len(positions) // 50]
     if last - first < MIN_LENGTH_M:
         return None
-    return _extended(scene, (along, normal, float(normal @ mean)), (float(first), float(last)))
-
-
-def _extended(
-    scene: Scene,
-    plane: tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"], float],
-    span: tuple[float, float],
-) -> Wall:
-    """Follow a patch past its first members: near a corner no point looks like part of a sheet."""
-    along, normal, offset = plane
-    x, y = scene.points[:, 0], scene.points[:, 1]
-    on_plane = np.flatnonzero(np.abs(x * normal[0] + y * normal[1] - offset) < ON_PLANE_M)
-    positions = x[on_plane] * along[0] + y[on_plane] * along[1]
-    order = np.argsort(positions, kind="stable")
-    on_plane, positions = on_plane[order], positions[order]
-    breaks = np.flatnonzero(np.diff(positions) > MAX_GAP_M)
-    begin, stop = np.searchsorted(positions, span)
-    first = breaks[breaks < begin].max(initial=-1) + 1
-    last = breaks[breaks >= stop - 1].min(initial=len(positions) - 1) + 1
-    kept = slice(int(first), int(last))
-    return Wall(on_plane[kept], along, normal, offset, positions[kept])
+    # past the first members: near a corner no point looks like part of a sheet
+    members, places = connected_on_plane(
+        scene.points, (normal, offset), (float(first), float(last)), (ON_PLANE_M, MAX_GAP_M)
+    )
+    return Wall(members, along, normal, offset, places)
