@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sl3d_slam.bench.process import run_runner
+from sl3d_slam.bench.relocalize_reliability import reliability
 from sl3d_slam.bench.relocalize_tiles import lay_out
 from sl3d_slam.bench.relocalize_world import OTHER_TOWN, Query, map_town, write_queries
 from sl3d_slam.bench.tables import Column, Table, write_tables
@@ -82,7 +83,7 @@ def run(
         where ``out`` cannot be written.
     """
     prepare_run_folder(out)
-    towns, rows = [], []
+    towns, rows, found = [], [], []
     with tempfile.TemporaryDirectory(prefix="sl3d_bench_") as name:
         folder, queries = Path(name), []
         for town in range(bench.num_towns):
@@ -90,9 +91,11 @@ def run(
             queries += _queries(bench, folder, bench.seed + town, town)
         queries += _queries(bench, folder, bench.seed + OTHER_TOWN, -1)
         for num_lines in bench.num_lines:
-            rows.append(_measured(bench, towns, queries, int(num_lines), folder, progress))
+            row, answers = _measured(bench, towns, queries, int(num_lines), folder, progress)
+            rows.append(row)
+            found += [(one["confidence"], _is_right(one)) for one in answers if one["found"]]
     table = Table("Relocalization in large maps (simulated)", COLUMNS, rows, NOTES)
-    write_tables(out, "relocalize", [table], command)
+    write_tables(out, "relocalize", [table, reliability(found)], command)
     return table
 
 
@@ -117,7 +120,8 @@ def _measured(
     num_lines: int,
     folder: Path,
     progress: Progress,
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return a row of the table and the answers to all scans."""
     line_map, T_map_town = lay_out(towns, num_lines, bench.seed)
     path = folder / f"{num_lines}.sl3d"
     line_map.save(path)
@@ -138,8 +142,8 @@ def _measured(
     end = run_runner(RUNNER, work, task, lambda steps: progress(f"{num_lines} lines", steps))
     path.unlink()
     if end.problem:
-        return {**head, "status": end.problem}
-    return {**head, **figures(end.answer), "status": "ok"}
+        return {**head, "status": end.problem}, []
+    return {**head, **figures(end.answer), "status": "ok"}, end.answer["answers"]
 
 
 def _plain(query: Query, T_map_town: list[Transform]) -> dict[str, Any]:
@@ -152,7 +156,7 @@ def figures(answer: dict[str, Any]) -> dict[str, Any]:
     inside = [one for one in answer["answers"] if one["inside"]]
     outside = [one for one in answer["answers"] if not one["inside"]]
     found = [one for one in inside if one["found"]]
-    right = [one for one in found if one["error_m"] < RIGHT_M and one["error_deg"] < RIGHT_DEG]
+    right = [one for one in found if _is_right(one)]
     row = {key: value for key, value in answer.items() if key != "answers"}
     for key in ("retrieval", "latency"):
         taken = np.array([one[f"{key}_ms"] for one in answer["answers"]])
@@ -167,3 +171,8 @@ def figures(answer: dict[str, Any]) -> dict[str, Any]:
         "outside": len(outside),
         "placed": sum(one["found"] for one in outside),
     }
+
+
+def _is_right(answer: dict[str, Any]) -> bool:
+    inside: bool = answer["inside"]
+    return inside and answer["error_m"] < RIGHT_M and answer["error_deg"] < RIGHT_DEG

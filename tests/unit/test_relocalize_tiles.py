@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sl3d_slam.bench.relocalize import figures
+from sl3d_slam.bench.relocalize_reliability import reliability
 from sl3d_slam.bench.relocalize_tiles import lay_out
 from sl3d_slam.config import MapSettings
 from sl3d_slam.geometry.se3 import from_yaw, invert, transform_points
@@ -76,3 +77,15 @@ def test_figures_count_right_wrong_and_placed():
     assert (row["outside"], row["placed"]) == (2, 1)
     assert row["median_m"] == pytest.approx(0.1)
     assert row["latency_p99_ms"] == pytest.approx(10.0)
+
+
+def test_confidence_is_held_against_what_came_true():
+    answers = [(0.95, True)] * 3 + [(0.91, False), (0.4, False), (1.0, True), (0.0, True)]
+    rows = {row["confidence"]: row for row in reliability(answers).rows}
+    assert rows["0.9 to 0.97"]["answers"] == 4
+    assert rows["0.9 to 0.97"]["promised_percent"] == pytest.approx(94.0)
+    assert rows["0.9 to 0.97"]["right_percent"] == pytest.approx(75.0)
+    assert rows["0 to 0.5"]["right_percent"] == pytest.approx(50.0)
+    assert rows["0.99 to 1"]["answers"] == 1  # a confidence of one belongs to the last
+    assert rows["0.5 to 0.9"] == {"confidence": "0.5 to 0.9", "answers": 0}
+    assert all(row["answers"] == 0 for row in reliability([]).rows)
