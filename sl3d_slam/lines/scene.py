@@ -74,6 +74,7 @@ def make_scene(points_lidar: Points, settings: LineSettings) -> Scene:
     order, cell_start = cell_index(level, CELL_M, settings.max_range_m)
     kept, level = kept[order], np.ascontiguousarray(level[order])
     index = (np.arange(len(kept)), cell_start)
+    columns = np.ascontiguousarray(level.T)
     slab = 0.5 + 0.015 * np.linalg.norm(level, axis=1)
     return Scene(
         R_level_lidar=R_level_lidar,
@@ -83,7 +84,7 @@ def make_scene(points_lidar: Points, settings: LineSettings) -> Scene:
         members=members,
         member_start=start[kept],
         member_stop=start[kept + 1],
-        structure=local_structure(level, *index, settings.max_range_m, slab),
+        structure=local_structure(columns, cell_start, settings.max_range_m, slab),
         index=index,
         ranges=nearest_ranges(members, R_level_lidar),
         half_width_m=settings.max_range_m,
