@@ -6,8 +6,6 @@ import numpy as np
 from numba import njit
 
 
-@njit(cache=True)
-@no_type_check
 def voxel_means(
     points: np.ndarray, voxel_m: float, min_range_m: float, max_range_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -16,6 +14,17 @@ def voxel_means(
     Returns the means (V, 3), how many points each stands for (V,), the points in range sorted by
     voxel (P, 3) and where each voxel's points start in them (V + 1,).
     """
+    keys, voxel_of, count = _voxels(points, voxel_m, min_range_m, max_range_m)
+    order = np.argsort(keys)  # numpy's is several times faster than a compiled one
+    return _sorted_by_voxel(points, order, voxel_of, count)
+
+
+@njit(cache=True)
+@no_type_check
+def _voxels(
+    points: np.ndarray, voxel_m: float, min_range_m: float, max_range_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the keys of the occupied voxels, each point's voxel (-1 out of range), and counts."""
     size = 1
     while size < 2 * len(points):
         size *= 2
@@ -42,23 +51,22 @@ def voxel_means(
             num_voxels += 1
         voxel_of[i] = table[slot]
         count[table[slot]] += 1
-    return _sort_by_voxel(points, keys[:num_voxels], voxel_of, count[:num_voxels])
+    return keys[:num_voxels], voxel_of, count[:num_voxels]
 
 
 @njit(cache=True)
 @no_type_check
-def _sort_by_voxel(
-    points: np.ndarray, keys: np.ndarray, voxel_of: np.ndarray, count: np.ndarray
+def _sorted_by_voxel(
+    points: np.ndarray, order: np.ndarray, voxel_of: np.ndarray, count: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    order = np.argsort(keys)
-    rank = np.empty(len(keys), np.int64)
-    start = np.zeros(len(keys) + 1, np.int64)
+    rank = np.empty(len(count), np.int64)
+    start = np.zeros(len(count) + 1, np.int64)
     for position in range(len(order)):
         rank[order[position]] = position
         start[position + 1] = start[position] + count[order[position]]
     members = np.empty((start[-1], 3))
     filled = start[:-1].copy()
-    means = np.zeros((len(keys), 3))
+    means = np.zeros((len(count), 3))
     for i in range(len(points)):
         if voxel_of[i] < 0:
             continue
@@ -67,7 +75,7 @@ def _sort_by_voxel(
             members[filled[voxel], axis] = points[i, axis]
             means[voxel, axis] += points[i, axis]
         filled[voxel] += 1
-    for voxel in range(len(keys)):
+    for voxel in range(len(count)):
         for axis in range(3):
             means[voxel, axis] /= start[voxel + 1] - start[voxel]
     return means, start[1:] - start[:-1], members, start
