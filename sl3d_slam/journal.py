@@ -7,7 +7,7 @@ loop search. All else follows from these, so the outcome is that of a run withou
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -75,10 +75,10 @@ class Journal:
         name = _scan_name(scan_index)
         if name not in self.records:
             return None
-        return np.frombuffer(self.records[name])[1:].reshape(4, 4).copy()
+        return np.frombuffer(self.records[name])[1:17].reshape(4, 4).copy()
 
-    def note_scan(self, scan_index: int, scan: RegisteredScan) -> None:
-        """Note odometry's pose of a scan.
+    def note_scan(self, scan_index: int, scan: RegisteredScan) -> RegisteredScan:
+        """Note odometry's pose of a scan; return the scan with what is noted of it.
 
         Raises
         ------
@@ -87,12 +87,17 @@ class Journal:
         """
         name, count = _scan_name(scan_index), len(scan.points_lidar)
         if name not in self.records:
-            self.records[name] = np.r_[float(count), scan.T_odom_lidar.ravel()].tobytes()
-        elif np.frombuffer(self.records[name])[0] != count:
+            own = np.empty(0) if scan.covariance is None else scan.covariance.ravel()
+            self.records[name] = np.r_[float(count), scan.T_odom_lidar.ravel(), own].tobytes()
+            return scan
+        noted = np.frombuffer(self.records[name])
+        if noted[0] != count:
             raise InputError(
                 f"scan {scan_index} has {count} points, but had another number before the run was "
                 "interrupted; expected the same scans"
             )
+        covariance = noted[17:].reshape(6, 6).copy() if len(noted) > 17 else None
+        return replace(scan, covariance=covariance)
 
     def outcomes(self, keyframe_id: int) -> list[Outcome] | None:
         """Return what came of the loop search from a keyframe, or None where nothing is noted."""

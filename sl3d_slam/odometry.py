@@ -42,6 +42,7 @@ from sl3d_slam.geometry.se3 import (
     rotation_angle_rad,
     transform_points,
 )
+from sl3d_slam.odometry_noise import Matrix6, pose_covariance
 from sl3d_slam.types import RegisteredScan, Scan
 
 TRANSLATION_GRID_M = 1e-5
@@ -81,6 +82,7 @@ class Odometry:
         self._surfaces = small_gicp.GaussianVoxelMap(SURFACE_VOXEL_M)
         self._surfaces.set_lru(horizon=SURFACE_MEMORY_SCANS, clear_cycle=10)
         self._refines = settings.refine_on_surfaces
+        self._covariance: Matrix6 | None = None  # of the last pose that surfaces refined
         self._first_points: Points | None = None
         self._count = 0
 
@@ -95,6 +97,7 @@ class Odometry:
         map_points = voxel_down_sample(points, 0.5 * self._voxel_size_m)
         surfaces = _surfaces_of(map_points) if self._refines else None
         guess = self._T_odom_last @ self._T_last_next
+        self._covariance = None
         T_odom_lidar = self._find_pose(map_points, surfaces, guess) if T_known is None else T_known
         self._threshold.update_model_deviation(invert(guess) @ T_odom_lidar)
         self._first_points = points if self._count == 0 else None
@@ -104,7 +107,7 @@ class Odometry:
             self._surfaces.insert(surfaces, T_odom_lidar)
         self._T_last_next = invert(self._T_odom_last) @ T_odom_lidar
         self._T_odom_last = T_odom_lidar
-        return RegisteredScan(scan.index, scan.stamp_s, points, T_odom_lidar)
+        return RegisteredScan(scan.index, scan.stamp_s, points, T_odom_lidar, self._covariance)
 
     def _find_pose(
         self, map_points: Points, surfaces: small_gicp.PointCloud | None, guess: Transform
@@ -154,6 +157,8 @@ class Odometry:
             self._surfaces, surfaces, init_T_target_source=T_odom_led, num_threads=1
         )
         T_odom_lidar = np.asarray(refined.T_target_source)
+        misfit = refined.error / max(1, refined.num_inliers)
+        self._covariance = pose_covariance(np.asarray(refined.H), float(misfit))
         moved = invert(T_odom_led) @ T_odom_lidar
         near = distance_m(moved) < SETTLED_M and rotation_angle_rad(moved) < SETTLED_RAD
         return T_odom_lidar, bool(refined.converged and near)

@@ -52,6 +52,7 @@ class SlamPipeline:
         self._work = KeyframeWork(self.config, workers, self._journal, self._times)
         self._stamps_s: list[float] = []
         self._T_odom_lidar: list[np.ndarray] = []
+        self._pose_covariances: list[np.ndarray | None] = []
 
     @property
     def num_loops(self) -> int:
@@ -84,9 +85,10 @@ class SlamPipeline:
         with self._times.measured("scan"):
             with self._times.measured("odometry"):
                 registered = self._odometry.register(scan, self._journal.pose(index))
-            self._journal.note_scan(index, registered)
+            registered = self._journal.note_scan(index, registered)
             self._stamps_s.append(scan.stamp_s)
             self._T_odom_lidar.append(registered.T_odom_lidar)
+            self._pose_covariances.append(registered.covariance)
             keyframe = self._keyframes.add(registered)
             if keyframe is not None:
                 self._work.open(keyframe, index)
@@ -114,6 +116,7 @@ class SlamPipeline:
                 graph.estimates(),
                 graph.accepted_loops,
                 self.config.graph,
+                self._pose_covariances,
             )
             stamps_s = np.array(self._stamps_s)
             world = None

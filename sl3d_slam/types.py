@@ -46,12 +46,17 @@ class Scan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegisteredScan:
-    """A sweep with its odometry pose; points are deskewed where times were given."""
+    """A sweep with its odometry pose; points are deskewed where times were given.
+
+    ``covariance`` is the pose's given the scans before, rotation first, at the lidar's frame; None
+    where it is not known.
+    """
 
     index: int
     stamp_s: float
     points_lidar: Points
     T_odom_lidar: Transform
+    covariance: Float64[np.ndarray, "6 6"] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

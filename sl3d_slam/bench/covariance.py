@@ -2,7 +2,7 @@
 
 The normalised error squared ``e^T P^-1 e`` of six honest degrees of freedom is six on average. Its
 mean over a drive with true poses is what the covariances are calibrated by: run it on drives for
-calibration, change ``matching/dense.py`` (loops) or ``graph.odometry_*`` (steps), then run it on
+calibration, change ``matching/dense.py`` (loops) or ``odometry_noise.py`` (steps), then run it on
 others. Loops are pairs of views of one place, refined from a guess some decimetres off the truth,
 that the loop search would have believed.
 """
@@ -21,7 +21,8 @@ from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
 from sl3d_slam.files import prepare_run_folder
 from sl3d_slam.geometry.se3 import exp, invert, log
-from sl3d_slam.graph.noise import step_covariance
+from sl3d_slam.graph.final import PoseCovariances, odometry_edges
+from sl3d_slam.graph.noise import Matrix6
 from sl3d_slam.io.dataset import Dataset
 from sl3d_slam.keyframes import KeyframeSelector
 from sl3d_slam.lines.extract import LineExtractor
@@ -88,26 +89,30 @@ def measure(drive: Drive, what: CovarianceBench, progress: Progress) -> list[dic
     dataset = drive.open(what.config.input)
     if dataset.truth is None:
         raise InputError(f"{dataset.name}: has no true poses; expected some to measure errors by")
-    poses, views = _drive_through(drive, dataset, what.config, progress)
+    poses, covariances, views = _drive_through(drive, dataset, what.config, progress)
     truth = dataset.truth[: len(poses)]
     name = f"{dataset.name}{' (simulated)' if dataset.simulated else ''}"
     progress(f"{dataset.name} pairs", 0)
     return [
         _row(name, "loops", *loop_errors(views, truth, what)),
-        _row(name, "odometry steps", *step_errors(poses, truth, what.config)),
+        _row(name, "odometry steps", *step_errors(poses, truth, what.config, covariances)),
     ]
 
 
 def step_errors(
-    T_odom_lidar: np.ndarray, truth: np.ndarray, config: SlamConfig
+    T_odom_lidar: np.ndarray,
+    truth: np.ndarray,
+    config: SlamConfig,
+    pose_covariances: PoseCovariances = (),
 ) -> tuple[Errors, Float64[np.ndarray, "N"]]:
     """Return each step's error at the newer scan, and its normalised square."""
     errors, squared = np.zeros((0, 6)), []
-    for k in range(SETTLING_SCANS, len(T_odom_lidar) - 1):
-        step = invert(T_odom_lidar[k]) @ T_odom_lidar[k + 1]
-        error = log(invert(invert(truth[k]) @ truth[k + 1]) @ step)
+    edges = odometry_edges(T_odom_lidar, config.graph, pose_covariances)
+    for edge in edges[SETTLING_SCANS:]:
+        true_step = invert(truth[edge.first]) @ truth[edge.second]
+        error = log(invert(true_step) @ edge.T_first_second)
         errors = np.vstack([errors, error])
-        squared.append(error @ np.linalg.solve(step_covariance(step, config.graph), error))
+        squared.append(error @ edge.information @ error)
     return errors, np.array(squared)
 
 
@@ -148,20 +153,21 @@ def _pairs(scans: Sequence[int], truth: np.ndarray, what: CovarianceBench) -> np
 
 def _drive_through(
     drive: Drive, dataset: Dataset, config: SlamConfig, progress: Progress
-) -> tuple[np.ndarray, dict[int, PreparedView]]:
+) -> tuple[np.ndarray, list[Matrix6 | None], dict[int, PreparedView]]:
     odometry = Odometry(config.odometry, config.input)
     selector = KeyframeSelector(config.keyframes)
     extractor = LineExtractor(config.lines)
-    poses, views = [], {}
+    poses, covariances, views = [], [], {}
     for scan in drive.stream(dataset):
         registered = odometry.register(scan)
         poses.append(registered.T_odom_lidar)
+        covariances.append(registered.covariance)
         if selector.add(registered) is not None:
             lines = extractor.extract(registered.points_lidar)
             view = make_view(registered.points_lidar, lines, config.matching.cloud_voxel_m)
             views[scan.index] = PreparedView(view, config.matching)
         progress(dataset.name, 1)
-    return np.array(poses), views
+    return np.array(poses), covariances, views
 
 
 def _row(

@@ -13,10 +13,12 @@ from sl3d_slam.errors import GraphError
 from sl3d_slam.geometry.se3 import Transform, invert
 from sl3d_slam.graph.batched import Transforms, inverts
 from sl3d_slam.graph.g2o import G2oGraph, format_g2o
-from sl3d_slam.graph.noise import Matrix6, step_covariance
+from sl3d_slam.graph.noise import Matrix6, covariance_of_step, step_covariance
 from sl3d_slam.graph.rigid import rigid_transforms
 from sl3d_slam.graph.solve import Edge, Prior, anchor, optimise
 from sl3d_slam.types import KeyframeCovariances, LoopConstraint
+
+PoseCovariances = Sequence[Matrix6 | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +55,7 @@ def optimise_all_scans(
     estimates: Mapping[int, Transform],
     loops: Sequence[LoopConstraint],
     settings: GraphSettings,
+    pose_covariances: PoseCovariances = (),
 ) -> FinalGraph:
     """Spread the accepted loops over every scan of a run.
 
@@ -62,6 +65,7 @@ def optimise_all_scans(
     scan_of_keyframe : scan index of each keyframe id.
     estimates : live ``T_world_lidar`` of keyframes, the start; may be empty.
     loops : the loops to believe, between keyframe ids; they weigh by their information alone.
+    pose_covariances : what odometry says of each pose, see :func:`odometry_edges`.
 
     Raises
     ------
@@ -71,7 +75,7 @@ def optimise_all_scans(
     if len(T_odom_lidar) == 0:
         return FinalGraph(np.zeros((0, 4, 4)), [], [])
     odometry = rigid_transforms(T_odom_lidar, "the odometry")
-    edges = odometry_edges(odometry, settings)
+    edges = odometry_edges(odometry, settings, pose_covariances)
     edges += [_loop_edge(loop, scan_of_keyframe) for loop in loops]
     priors = [anchor(0, odometry[0])]
     anchors = {_scan_of(key, scan_of_keyframe): pose for key, pose in estimates.items()}
@@ -101,12 +105,25 @@ def marginal_covariances(
     return np.array(found).reshape(-1, 6, 6)
 
 
-def odometry_edges(T_odom_lidar: Transforms, settings: GraphSettings) -> list[Edge]:
-    """Return the step from each scan to the next with the information of the settings."""
+def odometry_edges(
+    T_odom_lidar: Transforms, settings: GraphSettings, pose_covariances: PoseCovariances = ()
+) -> list[Edge]:
+    """Return the step from each scan to the next with its information.
+
+    ``pose_covariances`` are those of the scans given the local map (rotation first, each at its own
+    frame): a step errs as both its ends do. Where one is not known the settings speak.
+    """
+    known = list(pose_covariances) or [None] * len(T_odom_lidar)
     steps = inverts(T_odom_lidar[:-1]) @ T_odom_lidar[1:]
+    covariances = [
+        step_covariance(step, settings)
+        if before is None or after is None
+        else covariance_of_step(step, before, after)
+        for step, (before, after) in zip(steps, pairwise(known), strict=True)
+    ]
     return [
-        Edge(k, k + 1, step, np.linalg.inv(step_covariance(step, settings)))
-        for k, step in enumerate(steps)
+        Edge(k, k + 1, step, np.linalg.inv(covariance))
+        for k, (step, covariance) in enumerate(zip(steps, covariances, strict=True))
     ]
 
 

@@ -78,6 +78,16 @@ def step_covariance(T_last_lidar: Transform, settings: GraphSettings) -> Matrix6
     return np.diag(np.repeat([rotation_rad**2, translation_m**2], 3))
 
 
+def covariance_of_step(T_last_lidar: Transform, last: Matrix6, lidar: Matrix6) -> Matrix6:
+    """Return the covariance of a step, at the newer scan, from those of both poses' errors.
+
+    Each pose errs on its own, at its own frame: the older one's error reaches the newer one by
+    ``Ad(T_last_lidar)^-1``.
+    """
+    carry = adjoint(invert(T_last_lidar))
+    return carry @ last @ carry.T + lidar
+
+
 def _angle_rad(T_a_b: Transform) -> float:
     """Return the angle of a rotation without the detour of a general parser: one a scan."""
     R = T_a_b[:3, :3]

@@ -1,0 +1,34 @@
+"""How far an odometry pose may be off, from the alignment of its surfaces."""
+
+import numpy as np
+from jaxtyping import Float64
+
+Matrix6 = Float64[np.ndarray, "6 6"]
+
+COVARIANCE_SCALE = 0.55
+USUAL_MISFIT = 0.1
+MISFIT_LIMITS = (0.05, 0.4)
+TILT_SIGMA_RAD = np.radians(0.0036)
+LOOSE = np.diag(np.repeat([1e2, 1.0], 3))  # 0.1 rad and 1 m: where a scan shows nothing at all
+LEAST_SIGMAS = np.array([0.0, 0.0, np.radians(0.0005), 2e-4, 2e-4, 2e-4])
+GRID = np.repeat([1e-6, 1e-5], 3)  # rad, m: the covariance is rounded as the pose is
+
+
+def pose_covariance(hessian: Matrix6, misfit: float) -> Matrix6:
+    """Return the covariance of a pose given the map it was aligned to, at the lidar's frame.
+
+    Rotation first, as the Hessian H of voxelised GICP; ``misfit`` is its mean cost of a point that
+    found a partner. H^-1 alone is too small, and a scan whose surfaces do not lie well on the map
+    errs far more: the covariance is ``COVARIANCE_SCALE r^3 H^-1`` with r the misfit by the usual
+    one, and roll and pitch get ``(TILT_SIGMA_RAD r^4)^2`` more: where rings are far apart (HDL-32)
+    nothing else shows how badly far surfaces are known.
+
+    Calibrated on 1,200 scans of six simulated towns (HDL-64 and HDL-32). A step's error is that of
+    both its ends, which :func:`sl3d_slam.graph.final.odometry_edges` adds up.
+    """
+    ratio = float(np.clip(misfit, *MISFIT_LIMITS)) / USUAL_MISFIT
+    tilt = TILT_SIGMA_RAD * ratio**4
+    extra = np.diag(LEAST_SIGMAS**2 + np.array([tilt**2, tilt**2, 0.0, 0.0, 0.0, 0.0]))
+    covariance = COVARIANCE_SCALE * ratio**3 * np.linalg.inv(hessian + LOOSE) + extra
+    unit = np.outer(GRID, GRID)
+    return np.round(0.5 * (covariance + covariance.T) / unit) * unit
