@@ -91,12 +91,12 @@ class GraphSettings(Settings):
     """Noise of the odometry and the outlier tests of the pose graph.
 
     The sigmas are those of one scan-to-scan step; a chain of steps adds them up. The fractions
-    add to a step's sigma in proportion to how far it moved or turned. The defaults are those of
-    KISS-ICP refined on surfaces, calibrated on simulated towns (``sl3d bench covariance``): one
-    number for all scenes, so honest on average along streets (normalised error squared 5 to 8)
-    and cautious round a small block (under 1). ``drift_inflation`` widens them over long
-    stretches for the outlier tests. Probabilities are chi-square levels with six degrees of
-    freedom: the share of true loops that a test keeps when the covariances are honest.
+    add to a step's sigma in proportion to how far it moved or turned. They speak for a plugin's
+    user, for the live graph and where odometry does not refine on surfaces; the graph that a run
+    leaves has the covariance of each scan's own alignment (``odometry_noise.py``) instead.
+    ``drift_inflation`` widens them over long stretches for the outlier tests. Probabilities are
+    chi-square levels with six degrees of freedom: the share of true loops that a test keeps when
+    the covariances are honest.
     """
 
     odometry_rotation_sigma_deg: float = Field(default=0.02, gt=0)
