@@ -23,8 +23,11 @@ def pose_covariance(hessian: Matrix6, misfit: float) -> Matrix6:
     one, and roll and pitch get ``(TILT_SIGMA_RAD r^4)^2`` more: where rings are far apart (HDL-32)
     nothing else shows how badly far surfaces are known.
 
-    Calibrated on 1,200 scans of six simulated towns (HDL-64 and HDL-32). A step's error is that of
-    both its ends, which :func:`sl3d_slam.graph.final.odometry_edges` adds up.
+    A step's error is that of both its ends, which ``graph.final.odometry_edges`` adds up.
+    Calibrated on 1,200 steps of six simulated towns: HDL-64 3.5 to 8.6, HDL-32 11.7 and 12.8 mean
+    normalised error squared of six degrees of freedom. On seven stretches of other towns HDL-64
+    had 4.1 to 6.2 and HDL-32 7.5, an OS1-128 2.7; one constant had 0.6 to 25. Real drives by GPS
+    come out larger, their truth is centimetres off itself.
     """
     ratio = float(np.clip(misfit, *MISFIT_LIMITS)) / USUAL_MISFIT
     tilt = TILT_SIGMA_RAD * ratio**4

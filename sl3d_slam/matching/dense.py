@@ -110,13 +110,13 @@ def information_of(alignment: DenseAlignment) -> Float64[np.ndarray, "6 6"]:
     ``COVARIANCE_SCALE (misfit / USUAL_MISFIT)^2 (H^-1 + least variances)``, growing with the
     distance between the views. Directions that no point fixes stay exactly zero.
 
-    Calibrated on 285 pairs of views up to 45 m apart in six simulated towns (HDL-64 and HDL-32),
-    so that the mean normalised error squared is six for six degrees of freedom. In six other towns
-    (also an OS1-128) it was then 5.1 to 6.8, median 3.7 to 5.0; without the misfit 2.7 to 7.4.
-    Single pairs reach 30, from an HDL-32 some 100 (its rings are too far apart beyond 30 m to
-    show how a surface lies: pitch errs by up to 0.2 deg). ``sl3d bench covariance`` measures it on
-    any drive with true poses: those of real drives by GPS are centimetres off themselves, so there
-    it comes out larger.
+    Calibrated on 285 pairs of views up to 45 m apart in six simulated towns (HDL-64 and HDL-32), so
+    that the mean normalised error squared is six for six degrees of freedom. In five other towns
+    (one HDL-32) it was then 5.1 to 6.8, median 3.7 to 5.0; without the misfit 2.7 to 7.4. An
+    OS1-128, whose rings are dense, is better than it says (1.7). Single pairs reach 30, from an
+    HDL-32 some 100 (its rings are too far apart beyond 30 m to show how a surface lies: pitch errs
+    by up to 0.2 deg). ``sl3d bench covariance`` measures it on any drive with true poses: those of
+    real drives by GPS are centimetres off themselves, so there it comes out larger.
     """
     values, vectors = np.linalg.eigh(alignment.hessian * np.outer(UNITS, UNITS))
     fixed = values > FREE_RATIO * max(float(values[-1]), 1e-12)

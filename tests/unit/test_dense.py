@@ -128,3 +128,19 @@ def test_a_coarse_cloud_has_one_mean_a_voxel_and_nothing_far(rng):
     order = np.argsort(cloud[:, 0])
     np.testing.assert_allclose(cloud[order], [[10.2, 0.1, 0.1], [30.1, 0.1, 0.1]], atol=1e-6)
     assert coarse_cloud(np.zeros((0, 3)), 0.5).shape == (0, 3)
+
+
+def test_surfaces_that_lie_badly_on_each_other_say_less():
+    hessian = np.diag([1e6] * 3 + [1e4] * 3)
+    good, bad = (
+        information_of(DenseAlignment(np.eye(4), hessian, 1.0, misfit)) for misfit in (0.1, 0.2)
+    )
+    np.testing.assert_allclose(good, 4.0 * bad, rtol=1e-9)
+
+
+def test_the_misfit_of_an_alignment_grows_with_the_roughness_of_surfaces():
+    def rough(rng):
+        return yard(rng) + rng.normal(0.0, 0.1, (12_000, 3))
+
+    smooth = align(*clouds(yard, T_TARGET_SOURCE), T_TARGET_SOURCE)
+    assert align(*clouds(rough, T_TARGET_SOURCE), T_TARGET_SOURCE).misfit > 1.5 * smooth.misfit
