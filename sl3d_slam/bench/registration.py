@@ -48,10 +48,11 @@ def run(
     table = Table(f"Registration of two scans ({source})", COLUMNS, rows, notes)
     write_tables(out, "registration", [table], command)
     label = " (simulated)" if plan.simulated else ""
-    if any(row.get("recall_percent") is not None for row in rows):
+    measured = [row["method"] for row in rows if row.get("recall_percent") is not None]
+    if measured:
         write_whole(out / "registration.png", draw_recall(rows, label))
         write_whole(out / "registration_curves.png", draw_curves(plan.groups, answers, label))
-    if bench.iterations:
+    if any("@" in method for method in measured):
         write_whole(out / "registration_ransac.png", draw_iterations(rows, label))
     return table
 

@@ -1,6 +1,7 @@
 """Which pairs ``bench registration`` gives to whom, and what its table says of them."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -75,3 +76,22 @@ def test_the_table_counts_each_methods_own_pairs(bench, plan, tmp_path, monkeypa
     for name in ("registration.md", "registration.png", "registration_curves.png"):
         assert (tmp_path / name).stat().st_size > 0
     assert "first 4 pairs" in (tmp_path / "registration.md").read_text(encoding="utf-8")
+
+
+def test_peers_that_are_not_installed_leave_their_rows_and_no_curve(
+    bench, plan, tmp_path, monkeypatch
+):
+    def absent(module, folder, task, progress):
+        ours = tuple(task["methods"]) == OURS
+        return (
+            answer_truly(module, folder, task, progress) if ours else Ending("not installed", 1.0)
+        )
+
+    monkeypatch.setattr(registration, "run_runner", absent)
+    table = registration.run(replace(bench, iterations=(100,)), plan, tmp_path)
+    status = {row["method"]: row["status"] for row in table.rows}
+    assert status == {
+        **dict.fromkeys(OURS, "ok"),
+        **dict.fromkeys(("icp", "fpfh-ransac@100"), "not installed"),
+    }
+    assert not (tmp_path / "registration_ransac.png").exists()
