@@ -13,6 +13,7 @@ from sl3d_slam.io.points import raise_elevation
 
 SETTINGS = InputSettings(min_range_m=1.0, max_range_m=80.0)
 OFF = InputSettings(min_range_m=1.0, max_range_m=80.0, kitti_correction="off")
+FORCED = InputSettings(min_range_m=1.0, max_range_m=80.0, kitti_correction="on")
 # a lidar that looks along the camera's z, with a shift and a small tilt: far from the identity
 TILT = Rotation.from_rotvec([0.02, -0.01, 0.03]).as_matrix()
 R_CAM_LIDAR = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]) @ TILT
@@ -88,7 +89,7 @@ def test_golden_bytes(tmp_path):
 
 
 def test_sequence_streams_in_order_with_times_and_correction(root):
-    dataset = open_dataset(root, SETTINGS, sequence="1")
+    dataset = open_dataset(root, FORCED, sequence="1")
     assert (dataset.name, len(dataset), dataset.simulated, dataset.warnings) == ("01", 3, False, ())
     for index, scan in enumerate(dataset):
         assert scan.index == index
@@ -117,8 +118,7 @@ def test_correction_is_off_for_simulated_sequences_and_switchable(root):
     (root / "sequences" / "01" / "simulation.json").write_text("{}")
     assert np.array_equal(first(SETTINGS), raw)
     assert open_dataset(root, SETTINGS, sequence="01").simulated
-    forced = SETTINGS.model_copy(update={"kitti_correction": "on"})
-    assert np.array_equal(first(forced), raise_elevation(raw, 0.205))
+    assert np.array_equal(first(FORCED), raise_elevation(raw, 0.205))
 
 
 @pytest.mark.parametrize(
