@@ -93,7 +93,7 @@ class GraphSettings(Settings):
     The sigmas are those of one scan-to-scan step; a chain of steps adds them up. The fractions
     add to a step's sigma in proportion to how far it moved or turned. They speak for a plugin's
     user, for the live graph and where odometry does not refine on surfaces; the graph that a run
-    leaves has the covariance of each scan's own alignment (``odometry_noise.py``) instead.
+    leaves has the covariance of each scan's own alignment (``odometry/noise.py``) instead.
     ``drift_inflation`` widens them over long stretches for the outlier tests. Probabilities are
     chi-square levels with six degrees of freedom: the share of true loops that a test keeps when
     the covariances are honest.

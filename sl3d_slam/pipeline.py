@@ -15,7 +15,7 @@ from sl3d_slam.journal import Journal
 from sl3d_slam.keyframe_work import KeyframeWork
 from sl3d_slam.keyframes import KeyframeSelector
 from sl3d_slam.mapping.line_map import MapOrigin
-from sl3d_slam.odometry import Odometry
+from sl3d_slam.odometry.odometry import Odometry
 from sl3d_slam.run import Run, StageTimes
 from sl3d_slam.types import RegisteredScan, Scan, Trajectory, WorldMeasurements
 

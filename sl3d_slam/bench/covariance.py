@@ -29,7 +29,7 @@ from sl3d_slam.lines.extract import LineExtractor
 from sl3d_slam.matching.judge import gather_evidence, objection
 from sl3d_slam.matching.prepared import PreparedView
 from sl3d_slam.matching.views import make_view
-from sl3d_slam.odometry import Odometry
+from sl3d_slam.odometry.odometry import Odometry
 
 GUESS_SIGMAS = np.array([0.005, 0.005, 0.02, 0.4, 0.4, 0.2])  # rad, m
 SETTLING_SCANS = 2  # before the odometry has a velocity

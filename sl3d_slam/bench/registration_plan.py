@@ -20,7 +20,7 @@ from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import Transform, invert
 from sl3d_slam.io.dataset import Dataset
-from sl3d_slam.odometry import Odometry
+from sl3d_slam.odometry.odometry import Odometry
 
 
 @dataclass(frozen=True, slots=True)

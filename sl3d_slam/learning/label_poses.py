@@ -11,7 +11,7 @@ from sl3d_slam.io.dataset import Dataset
 from sl3d_slam.io.open import open_dataset
 from sl3d_slam.io.text_table import read_table
 from sl3d_slam.learning.labelling import Source
-from sl3d_slam.odometry import Odometry
+from sl3d_slam.odometry.odometry import Odometry
 
 
 def drive_poses(

@@ -32,7 +32,7 @@ from sl3d_slam.learning.scan_labels import (
 from sl3d_slam.lines.extract import LineExtractor
 from sl3d_slam.lines.network.sample import network_points
 from sl3d_slam.lines.network.settings import NetworkSettings
-from sl3d_slam.odometry import Odometry
+from sl3d_slam.odometry.odometry import Odometry
 
 FORMAT = 3
 Progress = Callable[[str], None]

@@ -13,7 +13,7 @@ from sl3d_slam.lines.extract import LineExtractor, checked_points
 from sl3d_slam.mapping.build import group_observations, observations_of
 from sl3d_slam.mapping.landmarks import mean_lines
 from sl3d_slam.matching.views import make_view
-from sl3d_slam.odometry import Odometry
+from sl3d_slam.odometry.odometry import Odometry
 from sl3d_slam.types import LineSet, Scan, View
 
 MIN_STEP_M = 0.5

@@ -8,7 +8,7 @@ from sl3d_slam.bench.outback import out_and_back
 from sl3d_slam.config import InputSettings, OdometrySettings
 from sl3d_slam.geometry.se3 import distance_m, invert
 from sl3d_slam.io.dataset import Dataset
-from sl3d_slam.odometry import Odometry
+from sl3d_slam.odometry.odometry import Odometry
 from sl3d_slam.report.metrics import ate_rmse_m
 from sl3d_slam.types import Scan
 

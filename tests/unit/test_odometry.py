@@ -11,7 +11,7 @@ from sl3d_slam.geometry.se3 import (
     rotation_angle_rad,
     transform_points,
 )
-from sl3d_slam.odometry import Odometry
+from sl3d_slam.odometry.odometry import Odometry
 from sl3d_slam.types import Scan
 
 INPUT = InputSettings(min_range_m=0.5, max_range_m=60.0)

@@ -8,7 +8,7 @@ from sl3d_slam.geometry.se3 import exp, invert, log
 from sl3d_slam.graph.final import odometry_edges
 from sl3d_slam.graph.noise import step_covariance
 from sl3d_slam.journal import Journal
-from sl3d_slam.odometry_noise import pose_covariance
+from sl3d_slam.odometry.noise import pose_covariance
 from sl3d_slam.types import RegisteredScan
 
 HESSIAN = np.diag([4e7, 6e7, 9e7, 9e4, 1.6e5, 2.5e5])

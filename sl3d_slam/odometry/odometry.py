@@ -1,9 +1,6 @@
 """Scan -> RegisteredScan by KISS-ICP (Vizzo et al., RA-L 2023), refined on surfaces.
 
-The only import of kiss_icp.
-
-Hazards of the library that this file meets: its settings can be changed by environment variables
-(``KISS_ICP_*``), so every value is given here; its deskewing aborts the process when all point
+Hazards of the library that this file meets: its deskewing aborts the process when all point
 times are equal; and its threads add up sums in a different order from run to run, which changes
 the last bits of a pose. Each pose is therefore rounded to a grid far below the sensor's noise
 before it is used, so that two runs agree bit for bit. small_gicp's second thread waits by spinning,
@@ -17,13 +14,6 @@ from typing import TypeGuard
 import numpy as np
 import small_gicp
 from jaxtyping import Float64
-from kiss_icp.config import KISSConfig
-from kiss_icp.config.config import (
-    AdaptiveThresholdConfig,
-    DataConfig,
-    MappingConfig,
-    RegistrationConfig,
-)
 from kiss_icp.mapping import get_voxel_hash_map
 from kiss_icp.preprocess import get_preprocessor
 from kiss_icp.registration import Registration, get_registration
@@ -42,13 +32,14 @@ from sl3d_slam.geometry.se3 import (
     rotation_angle_rad,
     transform_points,
 )
-from sl3d_slam.odometry_noise import Matrix6, pose_covariance
+from sl3d_slam.odometry.kiss_settings import kiss_config, with_step
+from sl3d_slam.odometry.noise import Matrix6, pose_covariance
+from sl3d_slam.odometry.starts import mean_gap_m, start_positions
 from sl3d_slam.types import RegisteredScan, Scan
 
 TRANSLATION_GRID_M = 1e-5
 QUATERNION_GRID = 1e-7
 COARSE_STEP_M = 0.02
-FINE_STEP_M = 3e-3
 COARSE_SOURCE_VOXELS = 2.0
 SOURCE_VOXELS = 1.5
 SURFACE_VOXEL_M = 1.0
@@ -57,8 +48,6 @@ SURFACE_NEIGHBOURS = 10
 SURFACE_MEMORY_SCANS = 150
 SETTLED_M = 0.2  # surfaces that move a pose by more were led to the wrong place
 SETTLED_RAD = np.radians(1.0)
-START_STEP_M = 2.0
-START_DISTANCE_LIMIT_M = 0.5
 START_GAIN = 0.95
 
 
@@ -70,11 +59,11 @@ class Odometry:
     """
 
     def __init__(self, settings: OdometrySettings, scan_input: InputSettings) -> None:
-        config = _kiss_config(settings, scan_input)
+        config = kiss_config(settings, scan_input)
         self._voxel_size_m = settings.voxel_size_m
         self._preprocessor = get_preprocessor(config)
         self._threshold = get_threshold_estimator(config)
-        self._coarse = get_registration(_with_step(config, COARSE_STEP_M))
+        self._coarse = get_registration(with_step(config, COARSE_STEP_M))
         self._fine = get_registration(config)
         self._local_map = get_voxel_hash_map(config)
         self._T_odom_last: Transform = np.eye(4)
@@ -184,9 +173,9 @@ class Odometry:
     ) -> Transform:
         """Align from standstill and from steps in four directions; standstill wins near ties."""
         best, best_gap_m = np.eye(4), np.inf
-        for step in _starts():
+        for step in start_positions():
             T_odom_lidar = self._align(source, surfaces, make_transform(np.eye(3), step))
-            gap_m = _mean_gap_m(transform_points(T_odom_lidar, points), first)
+            gap_m = mean_gap_m(transform_points(T_odom_lidar, points), first)
             if gap_m < START_GAIN * best_gap_m:
                 best, best_gap_m = T_odom_lidar, gap_m
         return best
@@ -198,44 +187,6 @@ def _surfaces_of(points: Points) -> small_gicp.PointCloud:
         points, SURFACE_SAMPLING_M, num_neighbors=SURFACE_NEIGHBOURS, num_threads=1
     )
     return sampled
-
-
-def _starts() -> Float64[np.ndarray, "S 3"]:
-    """Return the second scan's starting positions in the frame of the first, standstill first."""
-    directions = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]])
-    return np.vstack([np.zeros(3), START_STEP_M * directions])
-
-
-def _mean_gap_m(points: Points, first: cKDTree) -> float:
-    """Return the mean distance of points to the first scan, each counted up to a limit."""
-    gaps_m, _ = first.query(points, distance_upper_bound=START_DISTANCE_LIMIT_M)
-    return float(np.minimum(gaps_m, START_DISTANCE_LIMIT_M).mean())
-
-
-def _with_step(config: KISSConfig, step_m: float) -> KISSConfig:
-    """Return the settings with another length of step at which alignment stops."""
-    registration = RegistrationConfig(convergence_criterion=step_m)
-    return config.model_copy(update={"registration": registration})
-
-
-def _kiss_config(settings: OdometrySettings, scan_input: InputSettings) -> KISSConfig:
-    """Fill in every value; ``model_construct`` keeps the environment out."""
-    return KISSConfig.model_construct(
-        data=DataConfig(
-            max_range=scan_input.max_range_m,
-            min_range=scan_input.min_range_m,
-            deskew=scan_input.deskew,
-        ),
-        registration=(
-            RegistrationConfig(convergence_criterion=FINE_STEP_M)
-            if settings.refine_on_surfaces
-            else RegistrationConfig()
-        ),
-        mapping=MappingConfig(
-            voxel_size=settings.voxel_size_m, max_points_per_voxel=settings.max_points_per_voxel
-        ),
-        adaptive_threshold=AdaptiveThresholdConfig(),
-    )
 
 
 def _usable_times(scan: Scan) -> Float64[np.ndarray, "M"]:
