@@ -2,7 +2,7 @@
 
 The normalised error squared ``e^T P^-1 e`` of six honest degrees of freedom is six on average. Its
 mean over a drive with true poses is what the covariances are calibrated by: run it on drives for
-calibration, change ``matching/dense.py`` (loops) or ``odometry_noise.py`` (steps), then run it on
+calibration, change ``matching/dense.py`` (loops) or ``odometry/noise.py`` (steps), then run it on
 others. Loops are pairs of views of one place, refined from a guess some decimetres off the truth,
 that the loop search would have believed.
 """
