@@ -72,7 +72,7 @@ def _context(
     return np.log1p(_occupied_rings(places, occupied, corner))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _occupied_rings(places: np.ndarray, occupied: np.ndarray, corner: np.ndarray) -> np.ndarray:
     """Count the occupied cells around places (L, 2) by ring and layer (L, 16)."""

@@ -19,7 +19,7 @@ def voxel_means(
     return _sorted_by_voxel(points, order, voxel_of, count)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _voxels(
     points: np.ndarray, voxel_m: float, min_range_m: float, max_range_m: float
@@ -54,7 +54,7 @@ def _voxels(
     return keys[:num_voxels], voxel_of, count[:num_voxels]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _sorted_by_voxel(
     points: np.ndarray, order: np.ndarray, voxel_of: np.ndarray, count: np.ndarray
@@ -81,7 +81,7 @@ def _sorted_by_voxel(
     return means, start[1:] - start[:-1], members, start
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def cell_index(
     points: np.ndarray, cell_m: float, half_width_m: float

@@ -13,7 +13,7 @@ MAX_STEP_UP_M = 1.5
 MIN_FITTED = 15
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def grow_sheets(
     points: np.ndarray,

@@ -9,7 +9,7 @@ AZIMUTH_BINS = 1440
 ELEVATION_BINS = 90
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def nearest_ranges(points_lidar: np.ndarray, R_level_lidar: np.ndarray) -> np.ndarray:
     """Return the nearest horizontal range per azimuth (0.25 deg) and elevation (1 deg) bin.
