@@ -14,18 +14,19 @@ from sl3d_slam.geometry.ground_grid import (
     filled,
     low_grid,
     lowest_rows,
+    plane_normal,
     slope_envelope,
     without_ghosts,
 )
 from sl3d_slam.geometry.se3 import Points, rotation_between
 
-FIT_RANGE_M = 30.0
+FIT_RING_M = (2.0, 30.0)
+LEVEL_RING_M = (0.0, 45.0)  # those of the fit, after a turn
 FIT_CELL_M = 1.5
 MAX_TILT_DEG = 25.0
 CELL_M = 1.0
 GRID_HALF_WIDTH_M = 64.0
 MIN_CELLS = 8
-MARGIN = 1.5
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -38,16 +39,14 @@ def up_direction(points_lidar: Points) -> Float64[np.ndarray, "3"]:
     sensors tilted by up to 25 degrees. Where too little ground is seen, the frame's own z axis is
     returned.
     """
-    near = _lowest_per_cell(
-        points_lidar[_in_horizontal_range(points_lidar, 2.0, FIT_RANGE_M)], FIT_CELL_M / 3
-    )
+    near = _lowest_per_cell(points_lidar, FIT_RING_M, FIT_CELL_M / 3)
     up = UP
     for scale_m in (0.4, 0.15):
         level = near @ rotation_between(up, UP).T
-        lowest = _lowest_per_cell(level, FIT_CELL_M)
+        lowest = _lowest_per_cell(level, LEVEL_RING_M, FIT_CELL_M)
         if len(lowest) < MIN_CELLS:
             return UP.copy()
-        normal = _robust_plane_normal(lowest, scale_m)
+        normal = plane_normal(lowest, scale_m)
         up = rotation_between(up, UP).T @ normal
         up /= np.linalg.norm(up)
     if up[2] < np.cos(np.radians(MAX_TILT_DEG)):
@@ -76,30 +75,11 @@ def ground_mask(
     return heights_above_ground(points_lidar, up) < clearance_m
 
 
-def _in_horizontal_range(points: Points, near_m: float, far_m: float) -> Bool[np.ndarray, "N"]:
-    squared = points[:, 0] ** 2 + points[:, 1] ** 2
-    return (squared > near_m**2) & (squared < far_m**2)
-
-
 def _lowest_per_cell(
-    points: Float64[np.ndarray, "N 3"], cell_m: float
+    points: Float64[np.ndarray, "N 3"], ring_m: tuple[float, float], cell_m: float
 ) -> Float64[np.ndarray, "C 3"]:
-    """Return the lowest point of each occupied cell within the fitting range."""
-    return points[lowest_rows(points, MARGIN * FIT_RANGE_M, cell_m)]
-
-
-def _robust_plane_normal(points: Points, final_scale_m: float) -> Float64[np.ndarray, "3"]:
-    """Fit ``z = a x + b y + c`` with weights that narrow; near cells count more."""
-    weights_near = 1.0 / (5.0 + np.hypot(points[:, 0], points[:, 1]))
-    design = np.c_[points[:, :2], np.ones(len(points))]
-    solution = np.array([0.0, 0.0, np.median(points[:, 2])])
-    for scale_m in np.geomspace(3.0, final_scale_m, 10):
-        residual = points[:, 2] - design @ solution
-        weights = weights_near / (1.0 + (residual / scale_m) ** 2) ** 2
-        normal_matrix = design.T @ (design * weights[:, None]) + 1e-9 * np.eye(3)
-        solution = np.linalg.solve(normal_matrix, design.T @ (weights * points[:, 2]))
-    normal = np.array([-solution[0], -solution[1], 1.0])
-    return normal / np.linalg.norm(normal)
+    """Return the lowest point of each cell that those within horizontal ranges occupy."""
+    return points[lowest_rows(points, ring_m, LEVEL_RING_M[1], cell_m)]
 
 
 def _ground_grid(level: Points) -> Float64[np.ndarray, "X Y"]:

@@ -11,31 +11,87 @@ from numba import njit
 
 MAX_SLOPE = 0.25
 LOW_BAND_M = 0.25
+FIRST_SCALE_M, FIT_STEPS = 3.0, 10
 STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1))
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def lowest_rows(
+    points: np.ndarray, ring_m: tuple[float, float], half_width_m: float, cell_m: float
+) -> np.ndarray:
+    """Return the rows of the lowest point of each occupied cell, ascending; ties all count.
+
+    Only points whose horizontal range lies within ``ring_m`` count.
+    """
+    size = int(np.ceil(2 * half_width_m / cell_m))
+    lowest = np.full(size * size, np.inf)
+    rows, key = np.empty(len(points), np.int64), np.empty(len(points), np.int32)
+    n = 0
+    for i in range(len(points)):
+        squared = points[i, 0] ** 2 + points[i, 1] ** 2
+        if ring_m[0] ** 2 < squared < ring_m[1] ** 2:
+            x = int((points[i, 0] + half_width_m) / cell_m)
+            y = int((points[i, 1] + half_width_m) / cell_m)
+            rows[n], key[n] = i, x * size + y
+            lowest[key[n]] = min(lowest[key[n]], points[i, 2])
+            n += 1
+    kept = 0
+    for k in range(n):
+        rows[kept] = rows[k]
+        kept += points[rows[k], 2] == lowest[key[k]]
+    return rows[:kept]
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def plane_normal(points: np.ndarray, final_scale_m: float) -> np.ndarray:
+    """Return the unit normal, upward, of ``z = a x + b y + c`` fitted with weights that narrow.
+
+    They narrow from 3 m to ``final_scale_m``, and near points count more.
+    """
+    plane = np.array([0.0, 0.0, np.median(points[:, 2])])
+    for step in range(FIT_STEPS):
+        scale_m = FIRST_SCALE_M * (final_scale_m / FIRST_SCALE_M) ** (step / (FIT_STEPS - 1))
+        H, g = 1e-9 * np.eye(3), np.zeros(3)
+        for i in range(len(points)):
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            off = (z - plane[0] * x - plane[1] * y - plane[2]) / scale_m
+            weight = 1.0 / ((5.0 + np.sqrt(x * x + y * y)) * (1.0 + off * off) ** 2)
+            row = (x, y, 1.0)
+            for a in range(3):
+                g[a] += weight * row[a] * z
+                for b in range(a + 1):
+                    H[a, b] += weight * row[a] * row[b]
+        plane = _solve(H, g)
+    normal = np.array([-plane[0], -plane[1], 1.0])
+    return normal / np.sqrt(plane[0] ** 2 + plane[1] ** 2 + 1.0)
 
 
 @njit(cache=True)
 @no_type_check
-def lowest_rows(points: np.ndarray, half_width_m: float, cell_m: float) -> np.ndarray:
-    """Return the rows of the lowest point of each occupied cell, ascending; ties all count."""
-    size = int(np.ceil(2 * half_width_m / cell_m))
-    lowest = np.full(size * size, np.inf)
-    key = np.empty(len(points), np.int64)
-    for i in range(len(points)):
-        x = int((points[i, 0] + half_width_m) / cell_m)
-        y = int((points[i, 1] + half_width_m) / cell_m)
-        key[i] = x * size + y
-        lowest[key[i]] = min(lowest[key[i]], points[i, 2])
-    rows = np.empty(len(points), np.int64)
-    n = 0
-    for i in range(len(points)):
-        if points[i, 2] == lowest[key[i]]:
-            rows[n] = i
-            n += 1
-    return rows[:n]
+def _solve(H: np.ndarray, g: np.ndarray) -> np.ndarray:
+    """Solve three symmetric equations by Cholesky's factors; only H's lower half is read."""
+    L = np.zeros((3, 3))
+    for a in range(3):
+        for b in range(a + 1):
+            rest = H[a, b]
+            for k in range(b):
+                rest -= L[a, k] * L[b, k]
+            L[a, b] = np.sqrt(rest) if a == b else rest / L[b, b]
+    x = g.copy()
+    for a in range(3):
+        for k in range(a):
+            x[a] -= L[a, k] * x[k]
+        x[a] /= L[a, a]
+    for a in range(2, -1, -1):
+        for k in range(a + 1, 3):
+            x[a] -= L[k, a] * x[k]
+        x[a] /= L[a, a]
+    return x
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def low_grid(level: np.ndarray, half_width_m: float, cell_m: float) -> np.ndarray:
     """Return the mean of each cell's lowest band where two returns are in it; inf elsewhere."""
@@ -57,7 +113,7 @@ def low_grid(level: np.ndarray, half_width_m: float, cell_m: float) -> np.ndarra
     return np.where(count >= 2, total / np.maximum(count, 1), np.inf)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def without_ghosts(lowest: np.ndarray, cell_m: float) -> np.ndarray:
     """Drop cells that lie in a hole: mirror images seen below the street.
@@ -83,7 +139,7 @@ def without_ghosts(lowest: np.ndarray, cell_m: float) -> np.ndarray:
     return result
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def slope_envelope(lowest: np.ndarray, cell_m: float) -> np.ndarray:
     """Lower the grid to the largest surface below it whose slope is limited."""
@@ -100,7 +156,7 @@ def slope_envelope(lowest: np.ndarray, cell_m: float) -> np.ndarray:
     return envelope
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def filled(heights: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Fill unknown cells by means over ever larger windows; smooth the known ones lightly."""
@@ -128,7 +184,7 @@ def filled(heights: np.ndarray, known: np.ndarray) -> np.ndarray:
     return result
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def above_grid(
     level: np.ndarray, ground: np.ndarray, half_width_m: float, cell_m: float

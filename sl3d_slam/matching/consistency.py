@@ -5,17 +5,15 @@ meets each pair of target lines of about the same distance; two such pairs fix y
 of them are tried, so the best-supported pose among them is found for certain (no RANSAC).
 """
 
-from typing import no_type_check
-
 import numpy as np
-from jaxtyping import Float32, Float64
-from numba import njit
+from jaxtyping import Float32, Float64, Int64
 
+from sl3d_slam.matching.two_line_poses import match_pairs, rasterise, score_poses
 from sl3d_slam.matching.verticals import Verticals
 
 MIN_BASELINE_M = 3.0
 MAX_BASELINE_M = 80.0
-RASTER_CELL_M = 0.5
+LOOKED_AT = 4  # poses, for each that is kept
 
 PlanarPoses = Float64[np.ndarray, "H 3"]  # yaw_rad, x_m, y_m of T_target_source, levelled frames
 
@@ -34,7 +32,7 @@ def similarity(source: Verticals, target: Verticals) -> Float32[np.ndarray, "S T
 def enumerate_poses(
     source: Verticals, target: Verticals, tolerance_m: float, inlier_distance_m: float
 ) -> tuple[PlanarPoses, Float64[np.ndarray, "H"]]:
-    """Return every two-pair pose with its line score, best first; ties keep pair order.
+    """Return every two-pair pose with its line score, in the order of the pairs.
 
     The score of a pose is the weighted number of source lines with a target line nearby, each
     counting ``1 - (d / inlier_distance)^2`` times its similarity.
@@ -43,12 +41,12 @@ def enumerate_poses(
         return np.zeros((0, 3)), np.zeros(0)
     source_pairs, source_m = _pairs(source.xy)
     target_pairs, target_m = _pairs(target.xy)
-    poses = _match_pairs(
+    poses = match_pairs(
         source.xy, target.xy, source_pairs, source_m, target_pairs, target_m, tolerance_m
     )
-    raster, corner = _rasterise(target.xy, inlier_distance_m)
+    raster, corner = rasterise(target.xy, inlier_distance_m)
     weights = np.sqrt(source.weights[:, None] * target.weights[None, :])
-    scores = _score_poses(
+    scores = score_poses(
         poses,
         source.xy,
         target.xy,
@@ -57,20 +55,33 @@ def enumerate_poses(
         corner,
         inlier_distance_m,
     )
-    order = np.argsort(-scores, kind="stable")
-    return poses[order, :3], scores[order]
+    return poses[:, :3], scores
 
 
 def thin_poses(
     poses: PlanarPoses, scores: Float64[np.ndarray, "H"], limit: int
 ) -> tuple[Float64[np.ndarray, "K 3"], Float64[np.ndarray, "K"]]:
-    """Keep the first (best) of the poses that fall into one cell of 0.5 m and 2 degrees."""
-    poses, scores = poses[: 20 * limit], scores[: 20 * limit]
-    cells = np.floor(poses / np.array([np.radians(2.0), 0.5, 0.5])).astype(np.int64)
-    keys = (cells[:, 0] * 100_003 + cells[:, 1]) * 100_003 + cells[:, 2]
-    _, first = np.unique(keys, return_index=True)
-    keep = np.sort(first)[:limit]
-    return poses[keep], scores[keep]
+    """Return the best poses, best first, of those that share a cell of 0.5 m and 2 degrees one.
+
+    Of poses that score alike the earlier one is the better.
+    """
+    looked_at = LOOKED_AT * limit
+    while True:
+        best = _best_rows(scores, looked_at)
+        cells = np.floor(poses[best] / np.array([np.radians(2.0), 0.5, 0.5])).astype(np.int64)
+        keys = (cells[:, 0] * 100_003 + cells[:, 1]) * 100_003 + cells[:, 2]
+        first = np.sort(np.unique(keys, return_index=True)[1])[:limit]
+        if len(first) == limit or len(best) == len(scores):
+            return poses[best[first]], scores[best[first]]
+        looked_at *= LOOKED_AT
+
+
+def _best_rows(scores: Float64[np.ndarray, "H"], count: int) -> Int64[np.ndarray, "B"]:
+    """Return the rows of the best scores, best first: so many and those as good as the last."""
+    rows = np.arange(len(scores))
+    if count < len(scores):
+        rows = np.flatnonzero(scores >= np.partition(scores, -count)[-count])
+    return rows[np.argsort(-scores[rows], kind="stable")]
 
 
 def match_verticals(
@@ -95,103 +106,3 @@ def _pairs(xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     keep = np.flatnonzero((distance > MIN_BASELINE_M) & (distance < MAX_BASELINE_M))
     keep = keep[np.argsort(distance[keep], kind="stable")]
     return np.stack([first[keep], second[keep]], axis=1), distance[keep]
-
-
-@njit(cache=True)
-@no_type_check
-def _match_pairs(  # noqa: PLR0913
-    source_xy: np.ndarray,
-    target_xy: np.ndarray,
-    source_pairs: np.ndarray,
-    source_m: np.ndarray,
-    target_pairs: np.ndarray,
-    target_m: np.ndarray,
-    tolerance_m: float,
-) -> np.ndarray:
-    """Return rows of yaw, x, y, and the yaw's cosine and sine."""
-    starts = np.searchsorted(target_m, source_m - tolerance_m)
-    ends = np.searchsorted(target_m, source_m + tolerance_m)
-    source_at, target_at = _lie(source_xy, source_pairs), _lie(target_xy, target_pairs)
-    poses = np.empty((2 * np.sum(ends - starts), 5))
-    h = 0
-    for p in range(len(source_m)):
-        for q in range(starts[p], ends[p]):
-            yaw = target_at[q, 0] - source_at[p, 0]
-            yaw -= 2.0 * np.pi * np.round(yaw / (2.0 * np.pi))
-            cosine, sine = np.cos(yaw), np.sin(yaw)
-            for _ in range(2):
-                poses[h, 0], poses[h, 3], poses[h, 4] = yaw, cosine, sine
-                turned_x = cosine * source_at[p, 1] - sine * source_at[p, 2]
-                turned_y = sine * source_at[p, 1] + cosine * source_at[p, 2]
-                poses[h, 1] = target_at[q, 1] - turned_x
-                poses[h, 2] = target_at[q, 2] - turned_y
-                h += 1
-                yaw += np.pi if yaw < 0.0 else -np.pi
-                cosine, sine = -cosine, -sine
-    return poses
-
-
-@njit(cache=True)
-@no_type_check
-def _lie(xy: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Return the angle of each pair's baseline and its middle."""
-    found = np.empty((len(pairs), 3))
-    for p in range(len(pairs)):
-        a, b = xy[pairs[p, 0]], xy[pairs[p, 1]]
-        found[p, 0] = np.arctan2(b[1] - a[1], b[0] - a[0])
-        found[p, 1], found[p, 2] = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])
-    return found
-
-
-@njit(cache=True)
-@no_type_check
-def _rasterise(target_xy: np.ndarray, radius_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a grid that names the target line nearest to each cell; any where none is near."""
-    margin = radius_m + RASTER_CELL_M
-    corner = np.array([target_xy[:, 0].min() - margin, target_xy[:, 1].min() - margin])
-    nx = int((target_xy[:, 0].max() + margin - corner[0]) / RASTER_CELL_M) + 1
-    ny = int((target_xy[:, 1].max() + margin - corner[1]) / RASTER_CELL_M) + 1
-    raster = np.zeros((nx, ny), np.int32)
-    best = np.full((nx, ny), np.inf)
-    reach = int(margin / RASTER_CELL_M) + 1
-    for k in range(len(target_xy)):
-        i0 = int((target_xy[k, 0] - corner[0]) / RASTER_CELL_M)
-        j0 = int((target_xy[k, 1] - corner[1]) / RASTER_CELL_M)
-        for i in range(max(0, i0 - reach), min(nx, i0 + reach + 1)):
-            for j in range(max(0, j0 - reach), min(ny, j0 + reach + 1)):
-                dx = corner[0] + (i + 0.5) * RASTER_CELL_M - target_xy[k, 0]
-                dy = corner[1] + (j + 0.5) * RASTER_CELL_M - target_xy[k, 1]
-                if dx * dx + dy * dy < best[i, j]:
-                    best[i, j] = dx * dx + dy * dy
-                    raster[i, j] = k
-    return raster, corner
-
-
-@njit(cache=True)
-@no_type_check
-def _score_poses(  # noqa: PLR0913
-    poses: np.ndarray,
-    source_xy: np.ndarray,
-    target_xy: np.ndarray,
-    weights: np.ndarray,
-    raster: np.ndarray,
-    corner: np.ndarray,
-    radius_m: float,
-) -> np.ndarray:
-    scores = np.zeros(len(poses))
-    source, target = source_xy / RASTER_CELL_M, (target_xy - corner) / RASTER_CELL_M
-    reach = (RASTER_CELL_M / radius_m) ** 2
-    last_u, last_v = raster.shape[0] - 1, raster.shape[1] - 1
-    for h in range(len(poses)):
-        cosine, sine = poses[h, 3], poses[h, 4]
-        at_u = (poses[h, 1] - corner[0]) / RASTER_CELL_M
-        at_v = (poses[h, 2] - corner[1]) / RASTER_CELL_M
-        total = 0.0
-        for i in range(len(source)):
-            u = cosine * source[i, 0] - sine * source[i, 1] + at_u
-            v = sine * source[i, 0] + cosine * source[i, 1] + at_v
-            k = raster[max(0, min(int(u), last_u)), max(0, min(int(v), last_v))]
-            gap = ((u - target[k, 0]) ** 2 + (v - target[k, 1]) ** 2) * reach
-            total += weights[i, k] * max(1.0 - gap, 0.0)
-        scores[h] = total
-    return scores

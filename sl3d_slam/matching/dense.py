@@ -8,10 +8,12 @@ import small_gicp
 from jaxtyping import Float32, Float64
 
 from sl3d_slam.geometry.se3 import Points, Transform
+from sl3d_slam.geometry.voxel_means import voxel_means
 
 MAX_RANGE_M = 70.0
 MIN_POINTS = 100
 NEIGHBOURS = 12
+THREADS = 2
 # largest correspondence distance, voxel of the moving cloud; a last stage of 1 m and 1 m leaves
 # twice the error
 STAGES = ((3.0, 2.0), (0.6, 0.7))
@@ -33,7 +35,9 @@ class DenseCloud:
     def __init__(self, cloud: Float32[np.ndarray, "M 3"]) -> None:
         self.points = small_gicp.PointCloud(cloud.astype(np.float64))
         self.tree = small_gicp.KdTree(self.points)
-        small_gicp.estimate_covariances(self.points, self.tree, num_neighbors=NEIGHBOURS)
+        small_gicp.estimate_covariances(  # a point at a time: the same for any number of threads
+            self.points, self.tree, num_neighbors=NEIGHBOURS, num_threads=THREADS
+        )
 
     @cached_property
     def moving(self) -> tuple[small_gicp.PointCloud, ...]:
@@ -63,9 +67,7 @@ class DenseAlignment:
 
 def coarse_cloud(points_lidar: Points, voxel_m: float) -> Float32[np.ndarray, "M 3"]:
     """Thin a scan to voxel means within 70 m, the cloud that views and maps keep."""
-    near = points_lidar[np.einsum("ij,ij->i", points_lidar, points_lidar) < MAX_RANGE_M**2]
-    sampled = small_gicp.voxelgrid_sampling(np.ascontiguousarray(near, np.float64), voxel_m)
-    return sampled.points()[:, :3].astype(np.float32)
+    return voxel_means(points_lidar, voxel_m, MAX_RANGE_M).astype(np.float32)
 
 
 def prepare(cloud: Float32[np.ndarray, "M 3"]) -> DenseCloud | None:

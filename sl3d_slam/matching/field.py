@@ -66,7 +66,7 @@ def invert_poses(poses: Float64[np.ndarray, "H 3"]) -> Float64[np.ndarray, "H 3"
     return np.stack([-poses[:, 0], x, y], axis=1)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _draw(points: np.ndarray, heights: np.ndarray, occupied: np.ndarray, value: np.ndarray) -> None:
     """Mark empty street, a cell more to each side, then structure and how near it is."""
@@ -86,7 +86,7 @@ def _draw(points: np.ndarray, heights: np.ndarray, occupied: np.ndarray, value: 
                 _raise_around(x, y, value)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _raise_around(x: int, y: int, value: np.ndarray) -> None:
     """Write how near the cells around a cell of structure are; beyond them it counts as far."""
@@ -97,7 +97,7 @@ def _raise_around(x: int, y: int, value: np.ndarray) -> None:
                 value[u, v] = max(value[u, v], np.exp(-((gap_m / NEAR_M) ** 2)))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _mean_values(points: np.ndarray, value: np.ndarray, poses: np.ndarray) -> np.ndarray:
     scores = np.zeros(len(poses))

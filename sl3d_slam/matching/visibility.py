@@ -57,7 +57,7 @@ def compare(
     return Visibility(int(agree), int(contradict))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _cell(x: float, y: float, z: float) -> tuple[int, int, float]:
     flat = np.sqrt(x * x + y * y)
@@ -71,7 +71,7 @@ def _cell(x: float, y: float, z: float) -> tuple[int, int, float]:
     return column, row, np.sqrt(flat * flat + z * z)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _range_image(points: np.ndarray) -> np.ndarray:
     image = np.empty((AZIMUTH_BINS, ELEVATION_BINS, 2), np.float32)
@@ -85,7 +85,7 @@ def _range_image(points: np.ndarray) -> np.ndarray:
     return image
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _compare(image: np.ndarray, points: np.ndarray) -> tuple[int, int]:
     agree, contradict = 0, 0

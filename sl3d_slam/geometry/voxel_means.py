@@ -1,0 +1,54 @@
+"""One mean point for each voxel that a cloud touches, compiled."""
+
+from typing import no_type_check
+
+import numpy as np
+from jaxtyping import Float64
+from numba import njit
+
+from sl3d_slam.geometry.se3 import Points
+
+HALF_RANGE = 1 << 20  # voxels along each axis: 21 bits
+MULTIPLIER = 0x9E3779B97F4A7C1
+
+
+def voxel_means(points: Points, voxel_m: float, max_range_m: float) -> Float64[np.ndarray, "V 3"]:
+    """Return the mean of the points in each voxel, of those nearer than ``max_range_m``.
+
+    Voxels come in the order of x, then y, then z.
+    """
+    keys, means = _means(points, voxel_m, max_range_m)
+    return means[np.argsort(keys)]
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _means(points: np.ndarray, voxel_m: float, max_range_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return a key and the mean of each voxel, in the order in which points touch them."""
+    size = 1
+    while size < 2 * len(points):
+        size *= 2
+    table = np.full(size, -1, np.int32)
+    keys, sums = np.empty(len(points), np.int64), np.empty((len(points), 4))
+    voxels = 0
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        if not x * x + y * y + z * z < max_range_m * max_range_m:
+            continue
+        ix = np.int64(np.floor(x / voxel_m)) + HALF_RANGE
+        iy = np.int64(np.floor(y / voxel_m)) + HALF_RANGE
+        iz = np.int64(np.floor(z / voxel_m)) + HALF_RANGE
+        key = (ix << 42) | (iy << 21) | iz
+        slot = (key * MULTIPLIER >> 20) & (size - 1)
+        while table[slot] >= 0 and keys[table[slot]] != key:
+            slot = (slot + 1) & (size - 1)
+        if table[slot] < 0:
+            table[slot], keys[voxels] = voxels, key
+            sums[voxels] = 0.0
+            voxels += 1
+        own = table[slot]
+        sums[own, 0] += x
+        sums[own, 1] += y
+        sums[own, 2] += z
+        sums[own, 3] += 1.0
+    return keys[:voxels], sums[:voxels, :3] / sums[:voxels, 3:]
