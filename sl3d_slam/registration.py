@@ -26,6 +26,7 @@ from sl3d_slam.matching.refine import fit_planar
 from sl3d_slam.matching.seeds import distinct, line_poses
 from sl3d_slam.matching.verticals import up_of_lines
 from sl3d_slam.matching.views import make_view, view_of_lines
+from sl3d_slam.side_by_side import side_by_side
 from sl3d_slam.types import LineSet, Registration
 
 NUM_REFINED = 3
@@ -70,13 +71,13 @@ def register_lines(
         _checked_cloud(cloud, name)
         for cloud, name in zip(clouds, ("source", "target"), strict=True)
     ]
-    views = [
-        make_view(cloud, lines, settings.cloud_voxel_m)
-        for cloud, lines in zip(checked, (source, target), strict=True)
-    ]
-    return register_views(
-        PreparedView(views[0], settings), PreparedView(views[1], settings), settings
-    )
+
+    def prepare(side: int) -> PreparedView:
+        lines = (source, target)[side]
+        view = make_view(checked[side], lines, settings.cloud_voxel_m)
+        return PreparedView(view, settings).prepare(moves=side == 0)
+
+    return register_views(*side_by_side(prepare, 0, 1), settings)
 
 
 def register_views(

@@ -54,12 +54,13 @@ def ours(config: SlamConfig) -> Pairwise:
     """
     from sl3d_slam.lines.extract import LineExtractor
     from sl3d_slam.registration import register_lines
+    from sl3d_slam.side_by_side import side_by_side
 
     extractor = LineExtractor(config.lines)
 
     def register(source: Points, target: Points) -> list[Attempt]:
         start_s = time.perf_counter()
-        lines = extractor.extract(source), extractor.extract(target)
+        lines = side_by_side(extractor.extract, source, target)
         extract_s = time.perf_counter() - start_s
         attempts = []
         for clouds in ((source, target), None):

@@ -27,11 +27,11 @@ def register(
     from sl3d_slam.io.open import read_scan
     from sl3d_slam.lines.extract import LineExtractor
     from sl3d_slam.registration import register_lines
+    from sl3d_slam.side_by_side import side_by_side
 
     settings = load_config(config, overrides or ())
     clouds = read_scan(source, settings.input), read_scan(target, settings.input)
-    extractor = LineExtractor(settings.lines)
-    found = extractor.extract(clouds[0]), extractor.extract(clouds[1])
+    found = side_by_side(LineExtractor(settings.lines).extract, *clouds)
     result = register_lines(*found, None if lines_only else clouds, settings.matching)
     if out is not None:
         from sl3d_slam.report.pictures import draw_registration

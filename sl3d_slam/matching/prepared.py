@@ -24,6 +24,12 @@ class PreparedView:
         self.view = view
         self._max_angle_rad = np.radians(2.0 * settings.angle_tolerance_deg)
 
+    def prepare(self, moves: bool) -> "PreparedView":
+        """Make now what registration needs of the side that moves, or of the other; return self."""
+        _ = self.verticals, self.field, self.image, self.level_structure, self.street_raster
+        _ = self.moving if moves else self.dense
+        return self
+
     @cached_property
     def T_level_lidar(self) -> Transform:
         """The turn that makes the frame level."""
