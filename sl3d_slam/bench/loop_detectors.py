@@ -47,16 +47,14 @@ def detect(name: str, config: SlamConfig, scans: Iterable[Scan]) -> list[Detecti
     InputError
         where there is no such detector.
     """
-    match name:
-        case "sl3d-slam":
-            return our_loops(config, scans)
-        case "map-closures":
-            return map_closures(scans)
+    if name == OURS:
+        return our_loops(config, scans)
+    if name == "map-closures":
+        return map_closures(scans)
     raise InputError(f"{name}: unknown detector; expected {', '.join(PEERS)}")
 
 
 PEERS = ("map-closures",)
-DETECTORS = (OURS, *PEERS)
 
 
 def our_loops(config: SlamConfig, scans: Iterable[Scan]) -> list[Detection]:

@@ -1,7 +1,7 @@
 """The verbs of ``sl3d bench`` that take whole drives: slam, loops, growth, covariance."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -26,55 +26,68 @@ from sl3d_slam.cli.options import (
     SetOption,
 )
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
-def slam(
-    data: DataArguments,
-    out: OutOption,
-    dataset: DatasetOption = "auto",
-    sequences: SequencesOption = None,
-    scans: ScansOption = None,
-    peers: PeersOption = "kiss-slam,kiss-icp",
-    out_and_back: OutAndBackOption = False,
-    config: ConfigOption = None,
-    overrides: SetOption = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Whole drives against kiss-slam and KISS-ICP: accuracy, loops, time, memory."""
-    from sl3d_slam.bench.drives import Comparison
+    from sl3d_slam.bench.tables import Table
+
+
+def _comparison(
+    load_run: "Callable[[], Callable[..., Table]]", usual_peers: str, what_it_does: str
+) -> "Callable[..., None]":
+    """Return a verb that takes whole drives through this package and its peers.
+
+    ``load_run`` imports the benchmark, whose modules are heavy, when the verb is called.
+    """
+
+    def compare(
+        data: DataArguments,
+        out: OutOption,
+        dataset: DatasetOption = "auto",
+        sequences: SequencesOption = None,
+        scans: ScansOption = None,
+        peers: PeersOption = usual_peers,
+        out_and_back: OutAndBackOption = False,
+        config: ConfigOption = None,
+        overrides: SetOption = None,
+        quiet: QuietOption = False,
+    ) -> None:
+        from sl3d_slam.bench.drives import Comparison
+        from sl3d_slam.cli.progress import Meter
+        from sl3d_slam.config import load_config
+
+        drives = drives_of(data, sequences, dataset, scans, out_and_back)
+        what = Comparison(drives, names(peers), load_config(config, overrides or ()))
+        with Meter(what.num_steps(), quiet=quiet) as meter:
+            table = load_run()(what, out, command(), meter.advance)
+        show([table], out, quiet)
+
+    compare.__doc__ = what_it_does
+    return compare
+
+
+def _slam() -> "Callable[..., Table]":
     from sl3d_slam.bench.slam import run
-    from sl3d_slam.cli.progress import Meter
-    from sl3d_slam.config import load_config
 
-    drives = drives_of(data, sequences, dataset, scans, out_and_back)
-    what = Comparison(drives, names(peers), load_config(config, overrides or ()))
-    with Meter(what.num_steps(), quiet=quiet) as meter:
-        table = run(what, out, command(), meter.advance)
-    show([table], out, quiet)
+    return run
 
 
-def loops(
-    data: DataArguments,
-    out: OutOption,
-    dataset: DatasetOption = "auto",
-    sequences: SequencesOption = None,
-    scans: ScansOption = None,
-    peers: PeersOption = "map-closures",
-    out_and_back: OutAndBackOption = False,
-    config: ConfigOption = None,
-    overrides: SetOption = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Precision and recall of loops, same direction and reverse, against MapClosures."""
-    from sl3d_slam.bench.drives import Comparison
+def _loops() -> "Callable[..., Table]":
     from sl3d_slam.bench.loops import run
-    from sl3d_slam.cli.progress import Meter
-    from sl3d_slam.config import load_config
 
-    drives = drives_of(data, sequences, dataset, scans, out_and_back)
-    what = Comparison(drives, names(peers), load_config(config, overrides or ()))
-    with Meter(what.num_steps(), quiet=quiet) as meter:
-        table = run(what, out, command(), meter.advance)
-    show([table], out, quiet)
+    return run
+
+
+slam = _comparison(
+    _slam,
+    "kiss-slam,kiss-icp",
+    "Whole drives against kiss-slam and KISS-ICP: accuracy, loops, time, memory.",
+)
+loops = _comparison(
+    _loops,
+    "map-closures",
+    "Precision and recall of loops, same direction and reverse, against MapClosures.",
+)
 
 
 def growth(

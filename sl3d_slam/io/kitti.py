@@ -6,10 +6,10 @@ import numpy as np
 
 from sl3d_slam.config import InputSettings
 from sl3d_slam.errors import InputError
-from sl3d_slam.geometry.se3 import Transform, make_transform, nearest_rotation
+from sl3d_slam.geometry.se3 import Points, Transform, make_transform, nearest_rotation
 from sl3d_slam.io.dataset import Dataset
 from sl3d_slam.io.folder import ScanFiles, read_cloud
-from sl3d_slam.io.points import KITTI_ELEVATION_OFFSET_DEG, looks_like_hdl64
+from sl3d_slam.io.points import elevation_offset_deg, looks_like_hdl64
 from sl3d_slam.io.scan_file import list_scans
 from sl3d_slam.io.stamps import pick_rows, read_stamps
 from sl3d_slam.io.text_table import read_text
@@ -44,7 +44,9 @@ def open_kitti(path: Path, sequence: str | None, settings: InputSettings) -> Dat
     scans = tuple(list_scans(folder / SCANS_FOLDER, (".bin",)))
     T_cam_lidar = read_calib(folder / "calib.txt")
     stamps_s, warnings = read_stamps(folder / "times.txt", scans)
-    offset_deg = elevation_offset_deg(scans[0], settings)
+    offset_deg = elevation_offset_deg(
+        settings, lambda: is_real_hdl64(folder, read_cloud(scans[0]).points)
+    )
     poses_file = _find_poses(folder)
     truth = None
     if poses_file is not None:
@@ -97,17 +99,12 @@ def _sequence_names(root: Path) -> list[str]:
     return sorted(p.name for p in root.glob("*") if (p / SCANS_FOLDER).is_dir())
 
 
-def elevation_offset_deg(scan: Path, settings: InputSettings) -> float:
-    """Return the HDL-64E elevation correction for a scan of a KITTI sequence: 0.205 or 0 deg.
+def is_real_hdl64(sequence: Path, points: Points) -> bool:
+    """Tell whether a scan of a sequence is one of KITTI's Velodyne HDL-64E.
 
-    ``auto`` leaves it out where the folder of the sequence holds ``simulation.json``, and where the
-    scan has another field of view than an HDL-64E.
+    It is not where the folder holds ``simulation.json``, nor where the field of view is another.
     """
-    if settings.kitti_correction != "auto":
-        return KITTI_ELEVATION_OFFSET_DEG if settings.kitti_correction == "on" else 0.0
-    simulated = (scan.parent.parent / SIMULATION_FILE).is_file()
-    real = not simulated and looks_like_hdl64(read_cloud(scan).points)
-    return KITTI_ELEVATION_OFFSET_DEG if real else 0.0
+    return not (sequence / SIMULATION_FILE).is_file() and looks_like_hdl64(points)
 
 
 def read_calib(path: Path) -> Transform:

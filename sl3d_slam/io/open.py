@@ -8,8 +8,8 @@ from sl3d_slam.geometry.se3 import Points
 from sl3d_slam.io.bags import BAG_METADATA, BAG_SUFFIXES, open_bag
 from sl3d_slam.io.dataset import Dataset
 from sl3d_slam.io.folder import SUFFIXES, open_folder, read_cloud
-from sl3d_slam.io.kitti import elevation_offset_deg, is_kitti, open_kitti
-from sl3d_slam.io.points import KITTI_ELEVATION_OFFSET_DEG, corrected, usable
+from sl3d_slam.io.kitti import is_kitti, is_real_hdl64, open_kitti
+from sl3d_slam.io.points import corrected, elevation_offset_deg, usable
 
 KINDS = ("auto", "kitti", "generic", "mcap", "rosbag")
 _EXPECTED = (
@@ -66,8 +66,7 @@ def _open_kind(
         case "kitti":
             return open_kitti(path, sequence, settings)
         case "generic":
-            forced = settings.kitti_correction == "on"
-            return open_folder(path, KITTI_ELEVATION_OFFSET_DEG if forced else 0.0, settings)
+            return open_folder(path, elevation_offset_deg(settings, lambda: False), settings)
     return open_bag(path, topic, settings)
 
 
@@ -98,9 +97,8 @@ def read_scan(path: Path, settings: InputSettings) -> Points:
         naming the file where it is missing, damaged or has fewer than 100 usable points.
     """
     cloud = read_cloud(path)
-    if is_kitti(path.parent):
-        offset_deg = elevation_offset_deg(path, settings)
-    else:
-        offset_deg = KITTI_ELEVATION_OFFSET_DEG if settings.kitti_correction == "on" else 0.0
+    offset_deg = elevation_offset_deg(
+        settings, lambda: is_kitti(path.parent) and is_real_hdl64(path.parent.parent, cloud.points)
+    )
     points = corrected(cloud, offset_deg).points
     return points[usable(points, settings, str(path))]

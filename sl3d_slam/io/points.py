@@ -1,6 +1,6 @@
 """From the raw returns of any file to the points of a scan: correction, range filter, times."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,6 +83,16 @@ def looks_like_hdl64(points: Points) -> bool:
         horizontal = np.hypot(points[:, 0], points[:, 1])
         foreign = (points[:, 2] < lowest * horizontal) | (points[:, 2] > highest * horizontal)
     return bool(foreign.mean() < FOREIGN_SHARE)
+
+
+def elevation_offset_deg(settings: InputSettings, is_kitti_hdl64: Callable[[], bool]) -> float:
+    """Return the correction that the settings ask for, 0.205 or 0 deg.
+
+    Only ``auto`` asks whether the scans are those of KITTI's own sensor.
+    """
+    wanted = settings.kitti_correction
+    applies = wanted == "on" or (wanted == "auto" and is_kitti_hdl64())
+    return KITTI_ELEVATION_OFFSET_DEG if applies else 0.0
 
 
 def corrected(cloud: Cloud, elevation_offset_deg: float) -> Cloud:

@@ -146,6 +146,14 @@ def test_single_scan_of_a_sequence_is_corrected_as_in_the_sequence(root):
     assert np.array_equal(read_scan(path, SETTINGS), scans[1].points_lidar)
 
 
+def test_a_single_scan_is_read_from_its_file_once(root, monkeypatch):
+    read, read_bytes = [], Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read.append(path) or read_bytes(path))
+    path = root / "sequences" / "01" / "velodyne" / "000001.bin"
+    read_scan(path, SETTINGS)
+    assert read == [path]
+
+
 def test_truth_is_in_the_lidar_frame(root):
     dataset = open_dataset(root, SETTINGS, sequence="01")
     np.testing.assert_allclose(dataset.T_cam_lidar, T_CAM_LIDAR, atol=1e-12)
