@@ -1,8 +1,7 @@
 """Triangles of standing lines: three distances that no change of view alters.
 
 Sides are sorted from long to short, corners named by the side opposite them, and the sense of
-rotation (seen from above) is part of the triangle. A table hashed by the rounded sides answers
-"where have I seen this triangle before?" in a time that hardly grows with the number of views.
+rotation (seen from above) is part of the triangle.
 """
 
 from typing import no_type_check
@@ -13,8 +12,6 @@ from numba import njit
 
 MIN_SIDE_M = 3.0
 MAX_SIDE_M = 40.0
-BIN_M = 0.8
-NUM_HEADS = 1 << 20
 
 Triangles = Int32[np.ndarray, "T 3"]  # rows of the line set: opposite the longest side first
 
@@ -92,19 +89,6 @@ def turns_left(xy: np.ndarray, i: int, j: int, k: int) -> int:
 
 @njit(cache=True)
 @no_type_check
-def bucket(a: float, b: float, c: float, left: int, shift: np.ndarray) -> int:
-    """Return the table's slot for rounded sides; ``shift`` moves to a neighbouring cell."""
-    i = np.int64(a / BIN_M) + shift[0]
-    j = np.int64(b / BIN_M) + shift[1]
-    k = np.int64(c / BIN_M) + shift[2]
-    key = ((i * 64 + j) * 64 + k) * 2 + left
-    key = (key ^ (key >> 15)) * 0x2C1B3C6D
-    key = (key ^ (key >> 12)) * 0x297A2D39
-    return (key ^ (key >> 15)) & (NUM_HEADS - 1)
-
-
-@njit(cache=True)
-@no_type_check
 def _canonical(xy: np.ndarray, rows: np.ndarray, slack_m: float) -> np.ndarray:
     """Order corners by their opposite sides, longest first; drop slivers and sizes out of range.
 
@@ -127,22 +111,3 @@ def _canonical(xy: np.ndarray, rows: np.ndarray, slack_m: float) -> np.ndarray:
                 result[n, 0], result[n, 1], result[n, 2] = i, j, k
                 n += 1
     return result[:n].copy()
-
-
-@njit(cache=True)
-@no_type_check
-def insert(
-    heads: Int32[np.ndarray, "H"],
-    links: Int32[np.ndarray, "E"],
-    first_entry: int,
-    xy: Float64[np.ndarray, "V 2"],
-    triangles: Int32[np.ndarray, "T 3"],
-) -> None:
-    """Chain the triangles into the table as entries ``first_entry, first_entry + 1, ...``."""
-    no_shift = np.zeros(3, np.int64)
-    for t in range(len(triangles)):
-        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        a, b, c = sides_m(xy, i, j, k)
-        slot = bucket(a, b, c, turns_left(xy, i, j, k), no_shift)
-        links[first_entry + t] = heads[slot]
-        heads[slot] = first_entry + t

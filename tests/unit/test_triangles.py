@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 
 from sl3d_slam.loops.triangles import (
-    BIN_M,
-    NUM_HEADS,
     all_triangles,
-    bucket,
-    insert,
     local_triangles,
     sides_m,
     turns_left,
@@ -89,23 +85,3 @@ def test_nearly_equal_sides_give_every_order_they_allow():
 def test_useless_triangles_are_left_out(xy):
     assert len(all_triangles(xy, 0.0)) == 0
     assert len(local_triangles(xy, 9)) == 0
-
-
-def test_every_triangle_goes_into_the_chain_of_its_own_slot(lines):
-    triangles = local_triangles(lines, 6)
-    heads, links = np.full(NUM_HEADS, -1, np.int32), np.full(500, -1, np.int32)
-    insert(heads, links, 7, lines, triangles)
-    for row, (i, j, k) in enumerate(triangles):
-        slot = bucket(*sides_m(lines, i, j, k), turns_left(lines, i, j, k), np.zeros(3, np.int64))
-        entry, chain = heads[slot], []
-        while entry >= 0:
-            chain.append(entry)
-            entry = links[entry]
-        assert 7 + row in chain
-
-
-def test_a_shift_by_one_cell_is_the_slot_of_the_neighbouring_sides():
-    shift = np.array([1, 0, -1])
-    near = bucket(20.1, 15.1, 9.1, 1, shift)
-    assert near == bucket(20.1 + BIN_M, 15.1, 9.1 - BIN_M, 1, np.zeros(3, np.int64))
-    assert near != bucket(20.1, 15.1, 9.1, 1, np.zeros(3, np.int64))
