@@ -23,7 +23,7 @@ from sl3d_slam.geometry.se3 import (
 from sl3d_slam.geometry.segments import transform_segments
 from sl3d_slam.io.dataset import Dataset
 from sl3d_slam.lines.extract import LineExtractor
-from sl3d_slam.matching.dense import align, coarse_cloud, prepare
+from sl3d_slam.matching.dense import align, coarse_cloud, prepare, thin
 from sl3d_slam.registration import register_lines
 from sl3d_slam.types import LineSet
 
@@ -83,10 +83,10 @@ def refined(source: SeenScan, target: SeenScan, T_target_source: Transform) -> T
     GPS and odometry are off by decimetres over 30 m, more than lines are. An answer further than
     2 m or 5 degrees from the guess is not believed.
     """
-    clouds = prepare(target.cloud), prepare(source.cloud)
-    if clouds[0] is None or clouds[1] is None:
+    fixed, moving = prepare(target.cloud), thin(source.cloud)
+    if fixed is None or moving is None:
         return T_target_source
-    T_refined = align(clouds[0], clouds[1], T_target_source).T_target_source
+    T_refined = align(fixed, moving, T_target_source).T_target_source
     T_change = invert(T_target_source) @ T_refined
     near = distance_m(T_change) < MAX_CORRECTION_M
     return (

@@ -1,7 +1,6 @@
 """Centimetres from coarse clouds: two-stage GICP by small_gicp, and what it leaves free."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import small_gicp
@@ -30,7 +29,7 @@ FREE_RATIO = 0.005
 
 
 class DenseCloud:
-    """A coarse cloud ready for GICP: points with covariances, and their tree."""
+    """A coarse cloud that others are aligned to: points with covariances, and their tree."""
 
     def __init__(self, cloud: Float32[np.ndarray, "M 3"]) -> None:
         self.points = small_gicp.PointCloud(cloud.astype(np.float64))
@@ -39,13 +38,8 @@ class DenseCloud:
             self.points, self.tree, num_neighbors=NEIGHBOURS, num_threads=THREADS
         )
 
-    @cached_property
-    def moving(self) -> tuple[small_gicp.PointCloud, ...]:
-        """Thinner clouds, one a stage, for when this side is the source."""
-        return tuple(
-            small_gicp.preprocess_points(self.points, voxel_m, num_neighbors=NEIGHBOURS)[0]
-            for _, voxel_m in STAGES
-        )
+
+MovingClouds = tuple[small_gicp.PointCloud, ...]  # one a stage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,10 +71,21 @@ def prepare(cloud: Float32[np.ndarray, "M 3"]) -> DenseCloud | None:
     return DenseCloud(cloud)
 
 
-def align(target: DenseCloud, source: DenseCloud, T_target_source: Transform) -> DenseAlignment:
+def thin(cloud: Float32[np.ndarray, "M 3"]) -> MovingClouds | None:
+    """Thin a coarse cloud for the moving side; None where it has too few points to align."""
+    if len(cloud) < MIN_POINTS:
+        return None
+    points = cloud.astype(np.float64)
+    return tuple(
+        small_gicp.preprocess_points(points, voxel_m, num_neighbors=NEIGHBOURS)[0]
+        for _, voxel_m in STAGES
+    )
+
+
+def align(target: DenseCloud, source: MovingClouds, T_target_source: Transform) -> DenseAlignment:
     """Refine a first guess, coarse then fine. Deterministic: one thread."""
     T, result = T_target_source, None
-    for (reach_m, _), moving in zip(STAGES, source.moving, strict=True):
+    for (reach_m, _), moving in zip(STAGES, source, strict=True):
         result = small_gicp.align(
             target.points,
             moving,
@@ -91,7 +96,7 @@ def align(target: DenseCloud, source: DenseCloud, T_target_source: Transform) ->
         )
         T = np.asarray(result.T_target_source)
     assert result is not None
-    return alignment_of(result, source.moving[-1].size())
+    return alignment_of(result, source[-1].size())
 
 
 def alignment_of(result: small_gicp.RegistrationResult, num_moving: int) -> DenseAlignment:

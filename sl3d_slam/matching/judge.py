@@ -66,11 +66,10 @@ def gather_evidence(
     source: PreparedView, target: PreparedView, T_guess: Transform, settings: MatchingSettings
 ) -> Evidence | None:
     """Refine a guess by GICP and hold both sides against each other; None without clouds."""
-    if source.dense is None or target.dense is None:
+    if source.thinned is None or target.dense is None:
         return None
-    return weigh(
-        source, target, T_guess, dense.align(target.dense, source.dense, T_guess), settings
-    )
+    aligned = dense.align(target.dense, source.thinned, T_guess)
+    return weigh(source, target, T_guess, aligned, settings)
 
 
 def gather_near(

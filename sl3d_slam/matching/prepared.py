@@ -8,6 +8,7 @@ import small_gicp
 from sl3d_slam.config import MatchingSettings
 from sl3d_slam.geometry.se3 import Points, Transform, from_yaw, invert, transform_points
 from sl3d_slam.matching import dense, field, refine, visibility
+from sl3d_slam.matching.dense import MovingClouds
 from sl3d_slam.matching.verticals import Verticals, find_verticals, levelling
 from sl3d_slam.types import View
 
@@ -62,8 +63,13 @@ class PreparedView:
 
     @cached_property
     def dense(self) -> dense.DenseCloud | None:
-        """The coarse cloud ready for GICP; None where it has too few points."""
+        """The coarse cloud for others to be aligned to; None where it has too few points."""
         return dense.prepare(self.view.cloud)
+
+    @cached_property
+    def thinned(self) -> MovingClouds | None:
+        """The coarse cloud to be moved in stages; None where it has too few points."""
+        return dense.thin(self.view.cloud)
 
     @cached_property
     def street(self) -> Points:
