@@ -15,21 +15,22 @@ from sl3d_slam.geometry.se3 import Points, Transform, distance_m, invert
 from sl3d_slam.lines.extract import LineExtractor
 from sl3d_slam.loops.candidates import nearest_by_estimate, thin_votes
 from sl3d_slam.loops.constellations import ConstellationIndex
-from sl3d_slam.matching.judge import gather_evidence, objection
-from sl3d_slam.matching.prepared import PreparedView, lift
+from sl3d_slam.matching.prepared import PreparedView
+from sl3d_slam.matching.verticals import Verticals
 from sl3d_slam.matching.views import from_bytes, pack, to_bytes, unpack
 from sl3d_slam.records import RecordFile
-from sl3d_slam.registration import field_agreement
 from sl3d_slam.types import LoopConstraint, Rejection, View
+from sl3d_slam.verifying import Candidates, verify
 from sl3d_slam.viewing import view_of
 
-CACHE_SIZE = 8  # of about 4 MB; a search needs two
+NUM_VOTED = 30  # views that constellations may vote for, before those of one place are thinned
 
 
 class LoopCloser:
     """Views of all keyframes, kept in a file, and the constellations in them.
 
-    ``add`` remembers a keyframe, ``search`` looks for loops to earlier ones.
+    ``add`` remembers a keyframe, ``search`` looks for loops to earlier ones: it proposes candidates
+    and verifies them.
     """
 
     def __init__(self, config: SlamConfig, records: RecordFile | None = None) -> None:
@@ -37,7 +38,6 @@ class LoopCloser:
         self._config = config
         self._index = ConstellationIndex()
         self._records = RecordFile.temporary() if records is None else records
-        self._cache: dict[int, PreparedView] = {}
         self._travelled_m: dict[int, float] = {}
         self._T_odom_last: Transform | None = None
 
@@ -74,7 +74,7 @@ class LoopCloser:
             travelled = next(reversed(self._travelled_m.values())) + step_m
         self._travelled_m[keyframe_id] = travelled
         self._T_odom_last = T_odom_lidar
-        verticals = self._prepared(keyframe_id).verticals
+        verticals = self._verticals(keyframe_id)
         self._index.add(keyframe_id, verticals.xy, verticals.weights)
 
     def search(
@@ -88,70 +88,39 @@ class LoopCloser:
         estimates : the best present ``T_world_lidar`` of keyframes; they add candidates, but
             constellations find revisits wherever the estimates have drifted to.
         """
+        candidates = self.candidates(query_id, estimates)
+        return verify(candidates, self._config) if len(candidates) else []
+
+    def candidates(self, query_id: int, estimates: Mapping[int, Transform]) -> Candidates:
+        """Return what :meth:`search` verifies."""
         newest_id = self._newest_far_id(query_id)
         if newest_id is None:
-            return []
-        guesses = self._guesses(query_id, newest_id, estimates)
-        return [self._verify(query_id, target_id, T) for target_id, T in guesses.items()]
+            return Candidates(query_id, (), None, {})
+        settings, verticals = self._config.loops, self._verticals(query_id)
+        votes = self._index.query(verticals.xy, verticals.weights, newest_id, NUM_VOTED)
+        by_lines = [
+            (vote.view_id, vote.pose)
+            for vote in thin_votes(votes, self._travelled_m, settings)
+            if np.hypot(*vote.pose[1:]) <= settings.max_distance_m
+        ]
+        nearest = None
+        if query_id in estimates:
+            nearest = nearest_by_estimate(
+                query_id, newest_id, estimates, self._travelled_m, settings
+            )
+        by_estimate = None if nearest is None else (nearest.view_id, nearest.T_view_query)
+        ids = [query_id, *(target_id for target_id, _ in by_lines)]
+        ids += [] if nearest is None else [nearest.view_id]
+        packed = {keyframe_id: self._records[_name(keyframe_id)] for keyframe_id in ids}
+        return Candidates(query_id, by_lines, by_estimate, packed)
 
     def _newest_far_id(self, query_id: int) -> int | None:
         limit = self._travelled_m[query_id] - self._config.loops.min_travel_m
         far = [k for k, travelled in self._travelled_m.items() if travelled < limit]
         return far[-1] if far else None
 
-    def _guesses(
-        self, query_id: int, newest_id: int, estimates: Mapping[int, Transform]
-    ) -> dict[int, Transform]:
-        """Return first guesses ``T_target_query`` by target; by estimate where no line votes."""
-        settings = self._config.loops
-        query = self._prepared(query_id)
-        verticals = query.verticals
-        votes = self._index.query(verticals.xy, verticals.weights, newest_id, 30)
-        guesses: dict[int, Transform] = {}
-        for vote in thin_votes(votes, self._travelled_m, settings):
-            target, pose = self._prepared(vote.view_id), np.array(vote.pose)
-            if np.hypot(*pose[1:]) > settings.max_distance_m:
-                continue
-            if field_agreement(query, target, pose[None])[0] > settings.min_field_agreement:
-                guesses[vote.view_id] = lift(query, target, pose)
-        if not guesses and query_id in estimates:
-            nearby = nearest_by_estimate(
-                query_id, newest_id, estimates, self._travelled_m, settings
-            )
-            if nearby is not None:
-                guesses[nearby.view_id] = nearby.T_view_query
-        return guesses
-
-    def _verify(
-        self, query_id: int, target_id: int, T_guess: Transform
-    ) -> LoopConstraint | Rejection:
-        query, target = self._prepared(query_id), self._prepared(target_id)
-        evidence = gather_evidence(query, target, T_guess, self._config.matching)
-        if evidence is None:
-            reason = "a scan has too few points to verify a loop with"
-            return Rejection(target_id, query_id, reason, T_guess)
-        reason = objection(evidence, self._config.matching)
-        if reason:
-            return Rejection(
-                target_id, query_id, reason, evidence.T_target_source, len(evidence.matches)
-            )
-        return LoopConstraint(
-            target_id,
-            query_id,
-            evidence.T_target_source,
-            evidence.information,
-            len(evidence.matches),
-        )
-
-    def _prepared(self, keyframe_id: int) -> PreparedView:
-        """Return a keyframe ready for matching; the last few used are kept."""
-        found = self._cache.pop(keyframe_id, None)
-        if found is None:
-            found = PreparedView(self.view(keyframe_id), self._config.matching)
-        self._cache[keyframe_id] = found
-        if len(self._cache) > CACHE_SIZE:
-            del self._cache[next(iter(self._cache))]
-        return found
+    def _verticals(self, keyframe_id: int) -> Verticals:
+        return PreparedView(self.view(keyframe_id), self._config.matching).verticals
 
 
 class KeptClouds(Sequence[Float32[np.ndarray, "N 3"]]):

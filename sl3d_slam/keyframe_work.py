@@ -1,5 +1,6 @@
 """All that follows from a keyframe: its view, its place in the graph, its loops, its map lines."""
 
+import time
 from collections import deque
 from concurrent.futures import Future
 from typing import NamedTuple
@@ -7,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
+from sl3d_slam.beside import Beside, Made, Verified, result_of
 from sl3d_slam.closing import KeptClouds, LoopCloser
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.geometry.se3 import Transform
@@ -15,7 +17,10 @@ from sl3d_slam.journal import Journal
 from sl3d_slam.mapping.line_map import LineMap, MapOrigin
 from sl3d_slam.run import StageTimes
 from sl3d_slam.types import Keyframe, LoopConstraint, LoopRecord, Rejection
-from sl3d_slam.viewing import Made, ViewMaker, result_of
+
+# keyframes from a search to its effect, so that it may be done beside odometry: with two views in
+# the queue before it, it is over when the third one's is made
+LAG = 3
 
 
 class _Opened(NamedTuple):
@@ -27,8 +32,22 @@ class _Opened(NamedTuple):
     view: "Future[Made] | None"
 
 
+class _Searched(NamedTuple):
+    """A keyframe whose candidates are being verified; None where the journal knows the outcome.
+
+    ``seconds`` is what finding the candidates took.
+    """
+
+    id: int
+    verified: "Future[Verified] | None"
+    seconds: float = 0.0
+
+
 class KeyframeWork:
-    """Keyframes in their order: views may be made beside, the rest follows one by one.
+    """Keyframes in their order; with a worker views are made and candidates verified beside.
+
+    What becomes of a keyframe's candidates takes effect when the keyframe ``LAG`` later is taken
+    up, however long it took, so that a run is the same with and without workers.
 
     Attributes
     ----------
@@ -42,27 +61,29 @@ class KeyframeWork:
         self.graph = PoseGraph(config.graph)
         self.scan_of_keyframe: dict[int, int] = {}
         self._config = config
-        self._maker = ViewMaker(config, workers)
+        self._beside = Beside(config, workers)
         self._journal = journal
         self._closer = LoopCloser(config, journal.records)
         self._opened: deque[_Opened] = deque()
+        self._searched: deque[_Searched] = deque()
         self._rejections: list[Rejection] = []
         self._times = times
 
     def open(self, keyframe: Keyframe, scan_index: int) -> None:
         """Have the view of a keyframe made, where it is not kept from an interrupted run."""
         kept = self._closer.has_view(keyframe.id)
-        view = None if kept else self._maker.start(keyframe.points_lidar)
+        view = None if kept else self._beside.make_view(keyframe.points_lidar)
         self._opened.append(_Opened(keyframe.id, scan_index, keyframe.T_odom_lidar, view))
 
     def go_on(self) -> None:
         """Take up the keyframes whose views are made; wait where more than a few are open."""
-        self._take_up(2 * self._maker.workers)
+        self._take_up(2 * self._beside.workers)
 
     def finish(self) -> None:
-        """Take up all that are open and end the workers."""
+        """Take up all that are open, let all searches take effect and end the workers."""
         self._take_up(0)
-        self._maker.close()
+        self._conclude(0)
+        self._beside.close()
 
     def build_map(self, T_world_lidar: Float64[np.ndarray, "N 4 4"], origin: MapOrigin) -> LineMap:
         """Merge the lines of all keyframes, given the final pose of every scan."""
@@ -91,11 +112,14 @@ class KeyframeWork:
         return sorted(records, key=lambda record: (record.query_scan, record.target_scan))
 
     def _take_up(self, limit: int) -> None:
-        while self._opened:
-            view = self._opened[0].view
-            if len(self._opened) <= limit and not (view is None or view.done()):
-                break
+        while self._opened and (len(self._opened) > limit or self._next_is_ready()):
             self._extend(self._opened.popleft())
+
+    def _next_is_ready(self) -> bool:
+        """Tell whether the next keyframe can be taken up without waiting."""
+        view = self._opened[0].view
+        needed = self._searched[0].verified if len(self._searched) == LAG else None
+        return all(future is None or future.done() for future in (view, needed))
 
     def _extend(self, keyframe: _Opened) -> None:
         """Add a keyframe to graph and constellations and look for its loops."""
@@ -104,6 +128,7 @@ class KeyframeWork:
             self._times.add("lines", made.seconds)
             self._journal.note_model(made.model)
             self._closer.keep(keyframe.id, made.packed)
+        self._conclude(LAG - 1)
         self._closer.add_kept(keyframe.id, keyframe.T_odom_lidar)
         last = self.scan_of_keyframe.get(keyframe.id - 1, keyframe.scan_index)
         self.scan_of_keyframe[keyframe.id] = keyframe.scan_index
@@ -111,20 +136,32 @@ class KeyframeWork:
         with self._times.measured("graph"):
             self.graph.add_keyframe(keyframe.id, keyframe.T_odom_lidar, steps)
         if self._config.loops.enabled:
-            self._close_loops(keyframe.id)
+            self._searched.append(self._search(keyframe.id))
 
-    def _close_loops(self, keyframe_id: int) -> None:
-        outcomes = self._journal.outcomes(keyframe_id)
-        if outcomes is None:
-            with self._times.measured("loops"):
-                found = self._closer.search(keyframe_id, self.graph.estimates())
-            outcomes = self._journal.note_outcomes(keyframe_id, found)
-        for outcome in outcomes:
-            if isinstance(outcome, LoopConstraint):
-                with self._times.measured("graph"):
-                    self.graph.add_loop(outcome)
-            else:
-                self._rejections.append(outcome)
+    def _search(self, keyframe_id: int) -> _Searched:
+        if self._journal.outcomes(keyframe_id) is not None:
+            return _Searched(keyframe_id, None)
+        start_s = time.perf_counter()
+        candidates = self._closer.candidates(keyframe_id, self.graph.estimates())
+        taken_s = time.perf_counter() - start_s
+        return _Searched(keyframe_id, self._beside.verify(candidates), taken_s)
+
+    def _conclude(self, limit: int) -> None:
+        """Let the oldest searches take effect, until so many are left."""
+        while len(self._searched) > limit:
+            for outcome in self._outcomes(self._searched.popleft()):
+                if isinstance(outcome, LoopConstraint):
+                    with self._times.measured("graph"):
+                        self.graph.add_loop(outcome)
+                else:
+                    self._rejections.append(outcome)
+
+    def _outcomes(self, searched: _Searched) -> list[LoopConstraint | Rejection]:
+        if searched.verified is None:
+            return self._journal.outcomes(searched.id) or []
+        verified = result_of(searched.verified)
+        self._times.add("loops", searched.seconds + verified.seconds)
+        return self._journal.note_outcomes(searched.id, verified.outcomes)
 
     def _record(
         self, candidate: LoopConstraint | Rejection, status: str, reason: str

@@ -45,8 +45,8 @@ class OurSystem:
     """The whole pipeline of this package."""
 
     def __init__(self, config: SlamConfig) -> None:
+        from sl3d_slam.beside import spare_processors
         from sl3d_slam.pipeline import SlamPipeline
-        from sl3d_slam.viewing import spare_processors
 
         self._slam = SlamPipeline(config, workers=min(1, spare_processors()))
 

@@ -108,9 +108,9 @@ def run_map(opened: "Dataset", out: Path, mapping: Mapping) -> dict[str, Any]:
 
 def drive_through(opened: "Dataset", mapping: Mapping) -> "Run":
     """Take an opened dataset through the pipeline; say its warnings, show the progress."""
+    from sl3d_slam.beside import spare_processors
     from sl3d_slam.cli.progress import Meter
     from sl3d_slam.pipeline import SlamPipeline
-    from sl3d_slam.viewing import spare_processors
 
     for warning in opened.warnings:
         typer.echo(f"sl3d: {warning}", err=True)
