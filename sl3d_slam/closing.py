@@ -12,9 +12,10 @@ from jaxtyping import Float32
 
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.geometry.se3 import Points, Transform, distance_m, invert
+from sl3d_slam.graph.chain import OdometryChain
 from sl3d_slam.lines.extract import LineExtractor
-from sl3d_slam.loops.candidates import nearest_by_estimate, thin_votes
-from sl3d_slam.loops.constellations import ConstellationIndex
+from sl3d_slam.loops.candidates import is_worth_a_loop, nearest_by_estimate, thin_votes
+from sl3d_slam.loops.constellations import ConstellationIndex, PlaceVote
 from sl3d_slam.matching.prepared import PreparedView
 from sl3d_slam.matching.verticals import Verticals
 from sl3d_slam.matching.views import from_bytes, pack, to_bytes, unpack
@@ -33,9 +34,16 @@ class LoopCloser:
     and verifies them.
     """
 
-    def __init__(self, config: SlamConfig, records: RecordFile | None = None) -> None:
-        """Keep views in ``records``, or in a temporary file."""
+    def __init__(
+        self, config: SlamConfig, chain: OdometryChain, records: RecordFile | None = None
+    ) -> None:
+        """Keep views in ``records``, or in a temporary file.
+
+        ``chain`` holds every keyframe before loops are searched from it: how far odometry may have
+        drifted decides how far apart the views of a loop may be.
+        """
         self._config = config
+        self._chain = chain
         self._index = ConstellationIndex()
         self._records = RecordFile.temporary() if records is None else records
         self._travelled_m: dict[int, float] = {}
@@ -101,7 +109,7 @@ class LoopCloser:
         by_lines = [
             (vote.view_id, vote.pose)
             for vote in thin_votes(votes, self._travelled_m, settings)
-            if np.hypot(*vote.pose[1:]) <= settings.max_distance_m
+            if self._is_worth_it(query_id, vote)
         ]
         nearest = None
         if query_id in estimates:
@@ -118,6 +126,10 @@ class LoopCloser:
         limit = self._travelled_m[query_id] - self._config.loops.min_travel_m
         far = [k for k, travelled in self._travelled_m.items() if travelled < limit]
         return far[-1] if far else None
+
+    def _is_worth_it(self, query_id: int, vote: PlaceVote) -> bool:
+        drift_m = self._chain.drift_m(vote.view_id, query_id)
+        return is_worth_a_loop(float(np.hypot(*vote.pose[1:])), drift_m, self._config.loops)
 
     def _verticals(self, keyframe_id: int) -> Verticals:
         return PreparedView(self.view(keyframe_id), self._config.matching).verticals

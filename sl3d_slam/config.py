@@ -84,7 +84,7 @@ class LoopSettings(Settings):
     min_votes: int = Field(default=6, ge=1)
     min_field_agreement: float = Field(default=0.5, ge=-2, le=2)
     nearby_m: float = Field(default=12.0, gt=0)
-    max_distance_m: float = Field(default=30.0, gt=0)
+    max_distance_m: float = Field(default=60.0, gt=0)
 
 
 class GraphSettings(Settings):

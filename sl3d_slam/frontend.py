@@ -62,8 +62,8 @@ class LineLoopFrontend:
     ) -> None:
         self._config = config or SlamConfig()
         self._odometry_factors = odometry_factors
-        self._closer = LoopCloser(self._config)
         self._arbiter = LoopArbiter(self._config.graph)
+        self._closer = LoopCloser(self._config, self._arbiter.chain)
         self._anchor = MapAnchor(self._arbiter.chain, self._config.graph)
         self._relocalizer: Relocalizer | None = None
         self._ledger = FactorLedger(graph)

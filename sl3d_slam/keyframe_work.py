@@ -63,7 +63,7 @@ class KeyframeWork:
         self._config = config
         self._beside = Beside(config, workers)
         self._journal = journal
-        self._closer = LoopCloser(config, journal.records)
+        self._closer = LoopCloser(config, self.graph.chain, journal.records)
         self._opened: deque[_Opened] = deque()
         self._searched: deque[_Searched] = deque()
         self._rejections: list[Rejection] = []

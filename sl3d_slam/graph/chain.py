@@ -76,6 +76,15 @@ class OdometryChain:
         """Return ``T_odom_lidar`` of one."""
         return self._poses[position]
 
+    def drift_m(self, first_id: int, last_id: int) -> float:
+        """Return how uncertain the last keyframe's position is, seen from the first.
+
+        It is the standard deviation of its distance from where the odometry puts it.
+        """
+        first, last = np.array([self.position(first_id)]), np.array([self.position(last_id)])
+        (covariance,) = self.covariances(first, last)
+        return float(np.sqrt(np.trace(covariance[3:, 3:])))
+
     def noise_between(
         self, first: Int64[np.ndarray, "N"], last: Int64[np.ndarray, "N"]
     ) -> Float64[np.ndarray, "N 6 6"]:

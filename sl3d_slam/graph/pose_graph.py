@@ -8,6 +8,7 @@ from sl3d_slam.config import GraphSettings
 from sl3d_slam.errors import GraphError
 from sl3d_slam.geometry.se3 import Transform, invert
 from sl3d_slam.graph.arbiter import LoopArbiter
+from sl3d_slam.graph.chain import OdometryChain
 from sl3d_slam.graph.noise import covariance_to_gtsam
 from sl3d_slam.graph.solve import Edge, anchor, between_factor, prior_factor
 from sl3d_slam.graph.verdicts import Verdict
@@ -39,6 +40,11 @@ class PoseGraph:
     def keyframe_ids(self) -> list[int]:
         """Return the ids in the order they were added."""
         return list(self._keyframe_ids)
+
+    @property
+    def chain(self) -> OdometryChain:
+        """Return the odometry."""
+        return self._arbiter.chain
 
     @property
     def verdicts(self) -> list[Verdict]:

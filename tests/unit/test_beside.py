@@ -10,6 +10,7 @@ from sl3d_slam.beside import Beside, result_of
 from sl3d_slam.closing import LoopCloser
 from sl3d_slam.config import load_config
 from sl3d_slam.errors import InputError, Sl3dError
+from sl3d_slam.graph.chain import OdometryChain
 from sl3d_slam.matching.views import from_bytes, unpack
 
 
@@ -34,9 +35,11 @@ def test_a_worker_makes_the_same_view_to_the_byte(maker, ring_dataset):
 @pytest.fixture(scope="module")
 def revisit(ring_dataset):
     """What may be loops of a keyframe a lap after the first."""
-    closer = LoopCloser(load_config())
+    chain = OdometryChain(load_config().graph)
+    closer = LoopCloser(load_config(), chain)
     for keyframe_id, index in enumerate((2, 20, 46)):
         scan = next(ring_dataset.iterate(index, index + 1))
+        chain.append(keyframe_id, ring_dataset.truth[index], 20)
         closer.add(keyframe_id, closer.make_view(scan.points_lidar), ring_dataset.truth[index])
     return closer.candidates(2, {})
 

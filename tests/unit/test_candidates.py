@@ -5,7 +5,7 @@ import pytest
 
 from sl3d_slam.config import LoopSettings
 from sl3d_slam.geometry.se3 import from_yaw, invert
-from sl3d_slam.loops.candidates import nearest_by_estimate, thin_votes
+from sl3d_slam.loops.candidates import is_worth_a_loop, nearest_by_estimate, thin_votes
 from sl3d_slam.loops.constellations import PlaceVote
 
 SETTINGS = LoopSettings(max_candidates=2, min_votes=6, nearby_m=12.0)
@@ -26,6 +26,21 @@ def test_weak_votes_are_no_candidates_and_15_m_are_another_place():
     votes = [vote(0, 9), vote(1, 8), vote(2, 7), vote(3, 5)]
     assert [v.view_id for v in thin_votes(votes, travelled_m, SETTINGS)] == [0, 2]
     assert thin_votes([], travelled_m, SETTINGS) == []
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "drift_m", "worth"),
+    [
+        (0.0, 0.01, True),
+        (20.0, 0.5, True),  # off by 0.2 m at worst
+        (20.0, 0.3, False),
+        (59.0, 1.3, True),
+        (59.0, 1.1, False),
+        (61.0, 1000.0, False),  # hardly anything is seen from both
+    ],
+)
+def test_far_views_are_worth_a_loop_where_odometry_is_much_less_certain(distance_m, drift_m, worth):
+    assert is_worth_a_loop(distance_m, drift_m, SETTINGS) == worth
 
 
 def world(gap_m):

@@ -12,6 +12,7 @@ from sl3d_slam.geometry.se3 import (
     rotation_angle_rad,
     transform_points,
 )
+from sl3d_slam.graph.chain import OdometryChain
 from sl3d_slam.types import LineSet, LoopConstraint, Rejection, View
 
 
@@ -22,18 +23,33 @@ def keyframes(ring_dataset):
     return scans, ring_dataset.truth
 
 
-def closer_with(scans, T_odom_lidar, **overrides):
-    closer = LoopCloser(load_config(None, [f"loops.{k}={v}" for k, v in overrides.items()]))
+def closer_with(scans, T_odom_lidar, *overrides):
+    """Return a closer that was given all scans, one step of odometry a scan."""
+    closer, chain = new_closer(*overrides)
+    last = 0
     for keyframe_id, (index, points) in enumerate(scans.items()):
-        closer.add(keyframe_id, closer.make_view(points), T_odom_lidar[index])
+        view, steps = closer.make_view(points), max(index - last, 1)
+        add(closer, chain, keyframe_id, view, T_odom_lidar[index], steps)
+        last = index
     return closer
+
+
+def new_closer(*overrides):
+    config = load_config(None, overrides)
+    chain = OdometryChain(config.graph)
+    return LoopCloser(config, chain), chain
+
+
+def add(closer, chain, keyframe_id, view, T_odom_lidar, num_scans=1):
+    chain.append(keyframe_id, T_odom_lidar, num_scans)
+    closer.add(keyframe_id, view, T_odom_lidar)
 
 
 def test_a_revisit_is_found_by_lines_alone_whichever_way_the_sensor_faces(keyframes):
     scans, truth = keyframes
     T_turned_lidar = from_yaw(np.radians(-137.0), np.zeros(3))
     turned = scans | {46: transform_points(T_turned_lidar, scans[46])}
-    (loop,) = closer_with(turned, truth, max_candidates=1).search(2, {})
+    (loop,) = closer_with(turned, truth, "loops.max_candidates=1").search(2, {})
     assert isinstance(loop, LoopConstraint)
     assert (loop.query_id, loop.target_id) == (2, 0)
     T_truth = invert(truth[2]) @ truth[46] @ invert(T_turned_lidar)
@@ -44,12 +60,26 @@ def test_a_revisit_is_found_by_lines_alone_whichever_way_the_sensor_faces(keyfra
     assert loop.num_inliers >= 4
 
 
+def test_across_a_block_only_poor_odometry_is_worth_a_loop(ring_dataset):
+    """The views lie 21 m apart and 48 m of driving: good odometry knows better by then."""
+    scans = {k: next(ring_dataset.iterate(k, k + 1)).points_lidar for k in (0, 24)}
+    truth = ring_dataset.truth
+    assert distance_m(invert(truth[0]) @ truth[24]) > 20.0
+    assert closer_with(scans, truth, "loops.min_travel_m=20").search(1, {}) == []
+    poor = "loops.min_travel_m=20", "graph.odometry_rotation_sigma_deg=0.3"
+    (loop,) = closer_with(scans, truth, *poor).search(1, {})
+    assert isinstance(loop, LoopConstraint)
+    assert distance_m(invert(invert(truth[0]) @ truth[24]) @ loop.T_target_query) < 0.2
+    near = (*poor, "loops.max_distance_m=15")
+    assert closer_with(scans, truth, *near).search(1, {}) == []
+
+
 def test_nothing_is_a_revisit_before_40_m_of_travel(keyframes):
     scans, truth = keyframes
     slow = {2: truth[2], 20: truth[2] @ from_yaw(0.0, np.array([30.0, 0, 0])), 46: truth[2]}
-    closer = LoopCloser(load_config())
+    closer, chain = new_closer()
     for keyframe_id, index in enumerate((2, 20)):
-        closer.add(keyframe_id, closer.make_view(scans[index]), slow[index])
+        add(closer, chain, keyframe_id, closer.make_view(scans[index]), slow[index])
     assert closer.search(0, {}) == []
     assert closer.search(1, {0: slow[2], 1: slow[2]}) == []
 
@@ -58,9 +88,9 @@ def test_a_candidate_by_estimate_that_does_not_fit_is_rejected_with_its_pose(key
     """The estimate says that the far side of the block is where the drive began."""
     scans, truth = keyframes
     odometry = {2: truth[2], 20: truth[2] @ from_yaw(0.0, np.array([50.0, 0, 0]))}
-    closer = LoopCloser(load_config(None, ["loops.min_votes=100000"]))
+    closer, chain = new_closer("loops.min_votes=100000")
     for keyframe_id, index in enumerate((2, 20)):
-        closer.add(keyframe_id, closer.make_view(scans[index]), odometry[index])
+        add(closer, chain, keyframe_id, closer.make_view(scans[index]), odometry[index])
     (outcome,) = closer.search(1, {0: truth[2], 1: truth[2]})
     assert isinstance(outcome, Rejection)
     assert (outcome.query_id, outcome.target_id) == (1, 0)
@@ -69,13 +99,13 @@ def test_a_candidate_by_estimate_that_does_not_fit_is_rejected_with_its_pose(key
 
 
 def test_a_scan_with_next_to_nothing_in_it_is_rejected_with_the_pose_it_was_tried_at():
-    closer = LoopCloser(load_config())
+    closer, chain = new_closer()
     nothing = LineSet(np.zeros((0, 2, 3)), np.zeros((0, 28), np.float32), np.zeros(0, np.int64))
     few = np.random.default_rng(0).uniform(-9, 9, (60, 3)).astype(np.float32)
     view = View(nothing, np.array([0.0, 0.0, 1.0]), few, np.ones(60, np.float32))
     poses = [np.eye(4), from_yaw(0.3, np.array([60.0, 0.0, 0.0]))]
     for keyframe_id, pose in enumerate(poses):
-        closer.add(keyframe_id, view, pose)
+        add(closer, chain, keyframe_id, view, pose)
     there = from_yaw(0.1, np.array([2.0, 0.0, 0.0]))
     (outcome,) = closer.search(1, {0: np.eye(4), 1: there})
     assert isinstance(outcome, Rejection)
@@ -85,9 +115,9 @@ def test_a_scan_with_next_to_nothing_in_it_is_rejected_with_the_pose_it_was_trie
 
 def test_what_is_kept_of_a_keyframe_is_its_view_to_the_centimetre(keyframes):
     scans, truth = keyframes
-    closer = LoopCloser(load_config())
+    closer, chain = new_closer()
     view = closer.make_view(scans[2])
-    closer.add(5, view, truth[2])
+    add(closer, chain, 5, view, truth[2])
     np.testing.assert_allclose(closer.view(5).cloud, view.cloud, atol=0.0051)
     np.testing.assert_array_equal(closer.view(5).lines.endpoints, view.lines.endpoints)
     np.testing.assert_array_equal(closer.view(5).lines.descriptors, view.lines.descriptors)

@@ -46,7 +46,7 @@ def make_frontend(monkeypatch):
         closer = ScriptedCloser(CONFIG)
         for loop in loops:
             closer.script.setdefault(loop.query_id, []).append(loop)
-        monkeypatch.setattr("sl3d_slam.frontend.LoopCloser", lambda config: closer)
+        monkeypatch.setattr("sl3d_slam.frontend.LoopCloser", lambda config, chain: closer)
         return LineLoopFrontend(CONFIG, **options)
 
     return make

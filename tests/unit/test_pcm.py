@@ -151,6 +151,27 @@ def test_covariance_between_keyframes_does_not_depend_on_where_the_drive_started
     )
 
 
+def test_the_drift_between_two_keyframes_is_how_far_sampled_odometry_strays(rng):
+    truth = winding_drive(30)
+    T_true = invert(truth[4]) @ truth[27]
+    gaps_m = []
+    for _ in range(400):
+        odometry = sampled_odometry(truth, rng)
+        T_first_last = invert(odometry[4]) @ odometry[27]
+        gaps_m.append(np.linalg.norm(T_first_last[:3, 3] - T_true[:3, 3]))
+    drift_m = chain_of(truth).drift_m(4, 27)
+    assert abs(np.sqrt(np.mean(np.square(gaps_m))) / drift_m - 1.0) < 0.1
+
+
+def test_a_turn_that_errs_early_moves_what_comes_after_and_not_what_was_before():
+    chain = OdometryChain(GraphSettings(odometry_rotation_sigma_deg=1.0, drift_inflation=1.0))
+    for k, (x_m, num_scans) in enumerate([(0.0, 1), (1.0, 25), (101.0, 1)]):
+        chain.append(k, from_yaw(0.7, np.array([x_m, 0.0, 0.0])), num_scans)
+    lever_m = np.radians(1.0) * 5.0 * 100.0  # of 25 steps, on both axes across the way
+    assert abs(chain.drift_m(0, 2) / (np.sqrt(2.0) * lever_m) - 1.0) < 0.05
+    assert chain.drift_m(2, 0) < 0.3 * lever_m
+
+
 def test_the_chain_grows_beyond_its_first_room():
     truth = winding_drive(200)
     chain = chain_of(truth)
