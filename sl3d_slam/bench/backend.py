@@ -4,15 +4,15 @@ Everything here is simulated: the drive is built in or a KITTI ground truth, its
 and its loops are drawn at random, so that truth and falsehood are known.
 """
 
-import csv
-import io
 import time
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from sl3d_slam.bench.backend_methods import METHODS
+from sl3d_slam.bench.backend_growth import GROWTH_COLUMNS, STRETCH, grow
+from sl3d_slam.bench.backend_methods import METHODS, BackendAnswer
 from sl3d_slam.bench.backend_picture import draw_growth, draw_results
 from sl3d_slam.bench.backend_world import (
     SETTINGS,
@@ -22,55 +22,67 @@ from sl3d_slam.bench.backend_world import (
     make_world,
     read_kitti_drive,
 )
+from sl3d_slam.bench.tables import Column, Row, Table, write_tables
 from sl3d_slam.errors import GraphError
 from sl3d_slam.files import prepare_run_folder, write_whole
-from sl3d_slam.graph.pose_graph import PoseGraph
 from sl3d_slam.report.metrics import ate_rmse_m
 
-NUM_TRUE, QUICK_TRUE = 200, 80
-FULL_SHARES = (0.0, 0.1, 0.3, 0.5, 0.6, 0.7)
-QUICK_SHARES = (0.0, 0.5, 0.7)
-FULL_POSES, QUICK_STRIDE = 4541, 5  # quick: every fifth pose of the same drive
-FULL_GROWTH, QUICK_GROWTH = 50_000, 2_000
-LOOP_EVERY = 25  # poses between loops while the graph grows
+KINDS = ("random", "aliased")
+Progress = Callable[[str, int], None]
+
+COLUMNS = (
+    Column("kind", "false loops"),
+    Column("share_false", "share", "{:.0%}"),
+    Column("method", "method"),
+    Column("ate_m", "ATE m", "{:.3f}"),
+    Column("by_oracle", "by the oracle's", "{:.3f}"),
+    Column("kept_true", "true kept"),
+    Column("kept_false", "false kept"),
+    Column("seconds", "processor s", "{:.1f}"),
+    Column("update_median_ms", "ms a keyframe, median", "{:.2f}", main=False),
+    Column("update_max_ms", "worst", "{:.0f}", main=False),
+)
+NOTES = (
+    "Kept: of all; empty where a method keeps every loop and only weighs it.",
+    "ATE inf: gtsam gave up, or the poses ran away.",
+)
 
 
 @dataclass(frozen=True, slots=True)
-class BackendRow:
-    """One method in one world; counts are None where a method only down-weights."""
+class Extent:
+    """How much is done; ``stride`` takes every so many poses of the drive."""
 
-    kind: str
-    share_false: float
-    method: str
-    ate_m: float
-    odometry_ate_m: float
-    true_kept: int | None
+    shares: tuple[float, ...]
     num_true: int
-    false_kept: int | None
-    num_false: int
-    seconds: float
+    stride: int
+    num_growing: int
 
 
-@dataclass(frozen=True, slots=True)
-class GrowthRow:
-    """Time per update (keyframe and its loops) within a stretch of a growing graph."""
-
-    num_keyframes: int
-    median_ms: float
-    p99_ms: float
-    max_ms: float
+FULL = Extent((0.0, 0.1, 0.3, 0.5, 0.6, 0.7), num_true=200, stride=1, num_growing=50_000)
+QUICK = Extent((0.0, 0.5, 0.7), num_true=80, stride=5, num_growing=2_000)
+MAX_POSES = 4541
 
 
-def run(out: Path, quick: bool, trajectory: Path | None = None, seed: int = 1) -> list[BackendRow]:
-    """Compare the back ends; leave ``backend.csv``, ``.md``, ``.png`` and growth files in ``out``.
+def num_steps(extent: Extent) -> int:
+    """Return how many steps of progress a run takes."""
+    return len(KINDS) * len(extent.shares) * len(METHODS) + extent.num_growing // STRETCH
+
+
+def run(
+    out: Path,
+    extent: Extent = FULL,
+    trajectory: Path | None = None,
+    seed: int = 1,
+    command: str = "sl3d bench backend",
+    progress: Progress = lambda note, steps: None,
+) -> list[Table]:
+    """Compare the back ends; leave ``backend.md``, tables as CSV and pictures in ``out``.
 
     Tables are written after every world, so an interrupted run leaves what it found. Times are
     those of the processor.
 
     Parameters
     ----------
-    out : folder for the results, made where absent.
-    quick : every fifth pose and fewer shares, a minute instead of half an hour.
     trajectory : KITTI pose file to drive along; None for the built-in drive.
     seed : of drift and loops.
 
@@ -82,118 +94,67 @@ def run(out: Path, quick: bool, trajectory: Path | None = None, seed: int = 1) -
         where ``out`` cannot be written.
     """
     prepare_run_folder(out)
-    truth = read_kitti_drive(trajectory) if trajectory else built_in_drive(FULL_POSES)
-    truth = truth[:FULL_POSES:QUICK_STRIDE] if quick else truth[:FULL_POSES]
-    num_true = QUICK_TRUE if quick else NUM_TRUE
+    truth = read_kitti_drive(trajectory) if trajectory else built_in_drive(MAX_POSES)
+    truth = truth[: MAX_POSES : extent.stride]
     drive = f"{len(truth)} poses of {trajectory.name if trajectory else 'the built-in drive'}"
-    rows: list[BackendRow] = []
-    for kind in ("random", "aliased"):
-        for share in QUICK_SHARES if quick else FULL_SHARES:
-            rows += compare(make_world(truth, num_true, share, kind, seed), kind, share)
-            write_whole(out / "backend.csv", _csv(rows))
-            write_whole(out / "backend.md", _markdown(rows, [], drive))
+    rows: list[Row] = []
+    results = Table(f"Back ends against false loops (simulated: {drive})", COLUMNS, rows, NOTES)
+    for kind in KINDS:
+        for share in extent.shares:
+            world = make_world(truth, extent.num_true, share, kind, seed)
+            rows += compare(world, kind, share, progress)
+            write_tables(out, "backend", [results], command)
     write_whole(out / "backend.png", draw_results(rows))
-    growth = grow(QUICK_GROWTH if quick else FULL_GROWTH, seed)
-    write_whole(out / "backend_growth.csv", _csv(growth))
-    write_whole(out / "backend_growth.png", draw_growth(growth))
-    write_whole(out / "backend.md", _markdown(rows, growth, drive))
-    return rows
+    grown = grow(extent.num_growing, seed, lambda done: progress(f"{done} keyframes", 1))
+    growth = Table("Time of an update as the graph grows", GROWTH_COLUMNS, grown)
+    write_whole(out / "backend_growth.png", draw_growth(grown))
+    write_tables(out, "backend", [results, growth], command)
+    return [results, growth]
 
 
-def compare(world: BackendWorld, kind: str, share_false: float) -> list[BackendRow]:
+def compare(
+    world: BackendWorld,
+    kind: str,
+    share_false: float,
+    progress: Progress = lambda note, steps: None,
+) -> list[Row]:
     """Run every method over one world."""
-    is_true = np.array(world.is_true, dtype=bool)
-    odometry_ate_m = ate_rmse_m(world.T_odom_lidar, world.T_world_lidar)
-    rows = []
+    drift_m = ate_rmse_m(world.T_odom_lidar, world.T_world_lidar)
+    common = {"kind": kind, "share_false": share_false, "odometry_ate_m": drift_m}
+    rows: list[Row] = []
     for method, solve in METHODS.items():
         start_s = time.process_time()
-        kept: np.ndarray | None = None
         try:
             answer = solve(world, SETTINGS)
-            ate_m, kept = _ate_or_inf(answer.T_world_lidar, world.T_world_lidar), answer.kept
         except GraphError:  # gtsam gives up on a diverging peer
-            ate_m = float("inf")
+            answer = BackendAnswer(np.full_like(world.T_odom_lidar, np.nan), None)
+        seconds = time.process_time() - start_s
+        ate_m = _ate_or_inf(answer.T_world_lidar, world.T_world_lidar)
+        oracle_m = rows[0]["ate_m"] if rows else ate_m
+        figures = {"ate_m": ate_m, "by_oracle": ate_m / oracle_m, "seconds": seconds}
         rows.append(
-            BackendRow(
-                kind=kind,
-                share_false=share_false,
-                method=method,
-                ate_m=ate_m,
-                odometry_ate_m=odometry_ate_m,
-                true_kept=None if kept is None else int(np.sum(kept & is_true)),
-                num_true=int(is_true.sum()),
-                false_kept=None if kept is None else int(np.sum(kept & ~is_true)),
-                num_false=int(np.sum(~is_true)),
-                seconds=time.process_time() - start_s,
-            )
+            {**common, "method": method, **figures, **_kept(answer, world), **_times(answer)}
         )
+        progress(f"{kind} {share_false:.0%} {method}", 1)
     return rows
 
 
-def grow(num_keyframes: int, seed: int) -> list[GrowthRow]:
-    """Time each update of a graph that grows to ``num_keyframes`` with a loop every 25."""
-    truth = built_in_drive(num_keyframes)
-    world = make_world(truth, num_keyframes // LOOP_EVERY, 0.1, "random", seed)
-    graph = PoseGraph(SETTINGS)
-    taken_ms = np.zeros(num_keyframes)
-    offered = 0
-    for scan, pose in enumerate(world.T_odom_lidar):
-        start_s = time.process_time()
-        graph.add_keyframe(scan, pose, 1)
-        while offered < len(world.loops) and world.loops[offered].query_id == scan:
-            graph.add_loop(world.loops[offered])
-            offered += 1
-        taken_ms[scan] = 1e3 * (time.process_time() - start_s)
-    stretch = max(1, num_keyframes // 10)
-    return [
-        GrowthRow(
-            num_keyframes=min(first + stretch, num_keyframes),
-            median_ms=float(np.median(taken_ms[first : first + stretch])),
-            p99_ms=float(np.percentile(taken_ms[first : first + stretch], 99)),
-            max_ms=float(taken_ms[first : first + stretch].max()),
-        )
-        for first in range(0, num_keyframes, stretch)
-    ]
+def _kept(answer: BackendAnswer, world: BackendWorld) -> Row:
+    if answer.kept is None:
+        return {}
+    is_true = np.array(world.is_true, dtype=bool)
+    return {
+        "kept_true": f"{np.sum(answer.kept & is_true)}/{is_true.sum()}",
+        "kept_false": f"{np.sum(answer.kept & ~is_true)}/{np.sum(~is_true)}",
+    }
+
+
+def _times(answer: BackendAnswer) -> Row:
+    if answer.updates_ms is None:
+        return {}
+    median_ms, max_ms = float(np.median(answer.updates_ms)), float(answer.updates_ms.max())
+    return {"update_median_ms": median_ms, "update_max_ms": max_ms}
 
 
 def _ate_or_inf(estimate: Poses, truth: Poses) -> float:
     return ate_rmse_m(estimate, truth) if np.isfinite(estimate).all() else float("inf")
-
-
-def _csv(rows: list[BackendRow] | list[GrowthRow]) -> str:
-    buffer = io.StringIO()
-    names = [field.name for field in fields(rows[0])]
-    writer = csv.DictWriter(buffer, names, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(asdict(row) for row in rows)
-    return buffer.getvalue()
-
-
-def _markdown(rows: list[BackendRow], growth: list[GrowthRow], drive: str) -> str:
-    lines = [
-        f"# Back ends against false loops (simulated: {drive})",
-        "",
-        "| false loops | share | method | ATE m | true kept | false kept | processor s |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for row in rows:
-        true_kept = "all, weighted" if row.true_kept is None else f"{row.true_kept}/{row.num_true}"
-        false_kept = (
-            "all, weighted" if row.false_kept is None else f"{row.false_kept}/{row.num_false}"
-        )
-        lines.append(
-            f"| {row.kind} | {row.share_false:.0%} | {row.method} | {row.ate_m:.2f} "
-            f"| {true_kept} | {false_kept} | {row.seconds:.1f} |"
-        )
-    lines += ["", f"Odometry alone: {rows[0].odometry_ate_m:.2f} m."]
-    if growth:
-        lines += [
-            "",
-            "| keyframes so far | median ms | 99th percentile ms | worst ms |",
-            "|---|---|---|---|",
-        ]
-    lines += [
-        f"| {row.num_keyframes} | {row.median_ms:.2f} | {row.p99_ms:.1f} | {row.max_ms:.0f} |"
-        for row in growth
-    ]
-    return "\n".join(lines) + "\n"

@@ -1,11 +1,12 @@
 """The back ends that ``bench backend`` compares, each over the same odometry and loops."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float64
 
 from sl3d_slam.bench.backend_world import BackendWorld, Poses
 from sl3d_slam.config import GraphSettings
@@ -16,14 +17,23 @@ from sl3d_slam.graph.pose_graph import PoseGraph
 from sl3d_slam.graph.solve import Edge
 
 Kept = Bool[np.ndarray, "M"]
+Times = Float64[np.ndarray, "N"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BackendAnswer:
-    """Poses of every scan and which loops the method kept (None: it keeps all, down-weighted)."""
+    """What a method makes of a world.
+
+    Attributes
+    ----------
+    T_world_lidar : the pose of every scan.
+    kept : which loops the method kept; None where it keeps all and weighs them.
+    updates_ms : processor time of every scan and its loops, of a method that goes scan by scan.
+    """
 
     T_world_lidar: Poses
     kept: Kept | None
+    updates_ms: Times | None = None
 
 
 def oracle(world: BackendWorld, settings: GraphSettings) -> BackendAnswer:
@@ -44,20 +54,35 @@ def ours(world: BackendWorld, settings: GraphSettings) -> BackendAnswer:
 
 def ours_live(world: BackendWorld, settings: GraphSettings) -> BackendAnswer:
     """Run the product's graph as a drive would: scan by scan, each loop when it is met."""
-    graph = PoseGraph(settings)
-    offered = 0
-    for scan, pose in enumerate(world.T_odom_lidar):
-        graph.add_keyframe(scan, pose, 1)
-        while offered < len(world.loops) and world.loops[offered].query_id == scan:
-            graph.add_loop(world.loops[offered])
-            offered += 1
+    graph, updates_ms = drive_live(world, settings)
     graph.settle()
     kept = np.array([verdict.status == "accepted" for verdict in graph.verdicts], dtype=bool)
     same = {scan: scan for scan in range(len(world.T_odom_lidar))}
     final = optimise_all_scans(
         world.T_odom_lidar, same, graph.estimates(), graph.accepted_loops, settings
     )
-    return BackendAnswer(final.T_world_lidar, kept)
+    return BackendAnswer(final.T_world_lidar, kept, updates_ms)
+
+
+def drive_live(
+    world: BackendWorld, settings: GraphSettings, count: Callable[[int], None] = lambda done: None
+) -> tuple[PoseGraph, Times]:
+    """Build the live graph scan by scan; return it and the processor time of each update.
+
+    ``count`` is told how many scans are done.
+    """
+    graph = PoseGraph(settings)
+    updates_ms = np.zeros(len(world.T_odom_lidar))
+    offered = 0
+    for scan, pose in enumerate(world.T_odom_lidar):
+        start_s = time.process_time()
+        graph.add_keyframe(scan, pose, 1)
+        while offered < len(world.loops) and world.loops[offered].query_id == scan:
+            graph.add_loop(world.loops[offered])
+            offered += 1
+        updates_ms[scan] = 1e3 * (time.process_time() - start_s)
+        count(scan + 1)
+    return graph, updates_ms
 
 
 def with_loss(world: BackendWorld, settings: GraphSettings, loss: Loss) -> BackendAnswer:

@@ -74,17 +74,20 @@ def run(
     pairs = RegistrationBench(
         drives=[drive], distances_m=extent.distances_m, num_pairs=extent.num_pairs, seed=seed
     )
-    tables = [
+    return [
         slam.run(Comparison([drive], tuple(systems.PEERS)), out / "slam", command, progress),
         registration.run(pairs, make_plan(pairs), out / "registration", command, progress),
         loops.run(Comparison([drive], loop_detectors.PEERS), out / "loops", command, progress),
         *_lines(drive, extent, seed, out, command, progress),
         _relocalize(extent, seed, out, command, progress),
         *scale.run(out / "scale", quick, seed, command, progress),
+        *_backend(quick, out, command, progress),
     ]
-    progress("backend", 0)
-    backend.run(out / "backend", quick)
-    return tables
+
+
+def _backend(quick: bool, out: Path, command: str, progress: Progress) -> list[Table]:
+    extent = backend.QUICK if quick else backend.FULL
+    return backend.run(out / "backend", extent, command=command, progress=progress)
 
 
 def _lines(

@@ -110,12 +110,13 @@ def backend(
     quiet: QuietOption = False,
 ) -> None:
     """Pose-graph back ends against false loops; simulated."""
-    from sl3d_slam.bench.backend import run
+    from sl3d_slam.bench.backend import FULL, QUICK, num_steps, run
+    from sl3d_slam.cli.progress import Meter
 
-    run(out, quick, trajectory, seed)
-    if not quiet:
-        typer.echo((out / "backend.md").read_text(encoding="utf-8"))
-        typer.echo(f"results in {out}")
+    extent = QUICK if quick else FULL
+    with Meter(num_steps(extent), "steps", quiet) as meter:
+        tables = run(out, extent, trajectory, seed, command(), meter.advance)
+    show(tables, out, quiet)
 
 
 @bench.command("scale")
