@@ -24,6 +24,7 @@ from sl3d_slam.errors import Sl3dError
 from sl3d_slam.geometry.se3 import Points
 from sl3d_slam.lines.extract import LineExtractor
 from sl3d_slam.matching.views import pack, to_bytes
+from sl3d_slam.rehearsal import rehearse_keyframes
 from sl3d_slam.types import LoopConstraint, Rejection
 from sl3d_slam.verifying import Candidates, verify
 from sl3d_slam.viewing import view_of
@@ -63,11 +64,24 @@ class Beside:
         self.workers = workers
         self._here = _Bench(config)
         self._begun: list[Future[Any]] = []
+        self._rehearsal: Future[None] | None = None
         self._pool: ProcessPoolExecutor | None = None
         if workers > 0:
             spawn = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(workers, spawn, _begin, (config,))
-            self._begin(_warm_up)  # while the first scan is registered
+            self._rehearsal = self._begin(_rehearse)
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether nothing is left to be loaded or compiled before the work begins."""
+        return self._rehearsal is not None and self._rehearsal.done()
+
+    def get_ready(self) -> None:
+        """Load and compile what the work needs, or wait for the workers that do so."""
+        if self._rehearsal is None:
+            self._here.rehearse()
+            self._rehearsal = _done(None)
+        result_of(self._rehearsal)
 
     def make_view(self, points_lidar: Points) -> "Future[Made]":
         """Begin a view; without workers it is done on return, and errors are raised here."""
@@ -137,6 +151,10 @@ class _Bench:
         """The line extractor of the settings."""
         return LineExtractor(self._config.lines)
 
+    def rehearse(self) -> None:
+        """Do everything once, on a made-up scan."""
+        rehearse_keyframes(self.extractor, self._config)
+
     def make(self, points_lidar: Points) -> Made:
         """Make a packed view."""
         start_s = time.perf_counter()
@@ -169,9 +187,9 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def _warm_up() -> None:
+def _rehearse() -> None:
     assert _bench is not None
-    _bench.extractor  # noqa: B018  (loads what it needs)
+    _bench.rehearse()
 
 
 def _make(points_lidar: Points) -> Made:

@@ -15,12 +15,14 @@ from sl3d_slam.geometry.se3 import Transform
 from sl3d_slam.graph.pose_graph import PoseGraph
 from sl3d_slam.journal import Journal
 from sl3d_slam.mapping.line_map import LineMap, MapOrigin
+from sl3d_slam.rehearsal import rehearse_constellations
 from sl3d_slam.run import StageTimes
 from sl3d_slam.types import Keyframe, LoopConstraint, LoopRecord, Rejection
 
 # keyframes from a search to its effect, so that it may be done beside odometry: with two views in
 # the queue before it, it is over when the third one's is made
 LAG = 3
+OPEN_AT_START = 16  # keyframes while the workers start, about 3 MB each
 
 
 class _Opened(NamedTuple):
@@ -69,6 +71,17 @@ class KeyframeWork:
         self._rejections: list[Rejection] = []
         self._times = times
 
+    @property
+    def is_ready(self) -> bool:
+        """Whether nothing is left to be loaded or compiled."""
+        return self._beside.is_ready
+
+    def get_ready(self) -> None:
+        """Compile what a first run on a machine must compile, and wait for workers that do so."""
+        must_compile = rehearse_constellations()
+        if must_compile or self._beside.workers == 0:
+            self._beside.get_ready()
+
     def open(self, keyframe: Keyframe, scan_index: int) -> None:
         """Have the view of a keyframe made, where it is not kept from an interrupted run."""
         kept = self._closer.has_view(keyframe.id)
@@ -77,7 +90,8 @@ class KeyframeWork:
 
     def go_on(self) -> None:
         """Take up the keyframes whose views are made; wait where more than a few are open."""
-        self._take_up(2 * self._beside.workers)
+        starting = self._beside.workers > 0 and not self._beside.is_ready
+        self._take_up(OPEN_AT_START if starting else 2 * self._beside.workers)
 
     def finish(self) -> None:
         """Take up all that are open, let all searches take effect and end the workers."""

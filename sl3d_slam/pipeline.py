@@ -59,6 +59,18 @@ class SlamPipeline:
         """The number of loops accepted now."""
         return len(self._work.graph.accepted_loops)
 
+    @property
+    def is_ready(self) -> bool:
+        """Whether nothing is left to be loaded or compiled."""
+        return self._work.is_ready
+
+    def get_ready(self) -> None:
+        """Compile what has not been compiled on this machine yet, for about half a minute.
+
+        Without this the first scans wait for it.
+        """
+        self._work.get_ready()
+
     def process_scan(
         self,
         points_lidar: np.ndarray,

@@ -29,6 +29,7 @@ COLUMNS = (
     Column("ms_mean", "ms/scan", "{:.0f}", main=False),
     Column("ms_p99", "p99 ms", "{:.0f}", main=False),
     Column("ms_max", "max ms", "{:.0f}", main=False),
+    Column("ms_growth", "late/early", "{:.2f}", main=False),
     Column("ms_all", "ms/scan with the end", "{:.0f}"),
     Column("wall_s", "wall s", "{:.0f}", main=False),
     Column("peak_rss_mb", "peak MB", "{:.0f}"),
@@ -61,7 +62,9 @@ NOTES = (
     "join local maps of 100 m; each is judged between the scans in whose frames the two maps lie.",
     "ms/scan, p99, max: the system's own work on each scan, reading left out. 'With the end' adds "
     "the last optimisation and, for sl3d-slam, the building of its map, spread over the scans.",
-    "Wall: the whole process, start-up and reading included.",
+    "Wall: the whole process, reading and start-up included; what sl3d-slam compiles in the first "
+    "run on a machine is start-up.",
+    "Late/early: mean time of the last 500 scans by that of scans 500 to 1,000.",
     "Memory: resident, of the process and its children, reader and libraries included.",
 )
 

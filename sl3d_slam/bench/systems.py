@@ -49,6 +49,7 @@ class OurSystem:
         from sl3d_slam.pipeline import SlamPipeline
 
         self._slam = SlamPipeline(config, workers=min(1, spare_processors()))
+        self._slam.get_ready()
 
     def process(self, scan: Scan) -> None:
         """Take the next scan."""

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from sl3d_slam.run import Run
     from sl3d_slam.types import WorldMeasurements
 
+COMPILING = "sl3d: getting ready; the first run on a machine compiles for half a minute"
+
 
 def map_(
     data: DataArgument,
@@ -109,7 +111,7 @@ def run_map(opened: "Dataset", out: Path, mapping: Mapping) -> dict[str, Any]:
 def drive_through(opened: "Dataset", mapping: Mapping) -> "Run":
     """Take an opened dataset through the pipeline; say its warnings, show the progress."""
     from sl3d_slam.beside import spare_processors
-    from sl3d_slam.cli.progress import Meter
+    from sl3d_slam.cli.progress import Meter, notice
     from sl3d_slam.pipeline import SlamPipeline
 
     for warning in opened.warnings:
@@ -117,10 +119,12 @@ def drive_through(opened: "Dataset", mapping: Mapping) -> "Run":
     workers = min(1, spare_processors()) if mapping.workers is None else mapping.workers
     slam = SlamPipeline(mapping.settings, opened.simulated, workers, mapping.journal)
     total = len(opened) if mapping.scans is None else min(mapping.scans, len(opened))
-    with Meter(total, quiet=mapping.quiet) as meter:
-        for scan in opened.iterate(0, total):
-            slam.process(scan)
-            meter.advance(f"loops {slam.num_loops}")
+    with notice(COMPILING, lambda: not slam.is_ready, mapping.quiet):
+        slam.get_ready()
+        with Meter(total, quiet=mapping.quiet) as meter:
+            for scan in opened.iterate(0, total):
+                slam.process(scan)
+                meter.advance(f"loops {slam.num_loops}")
     return slam.finish(mapping.measurements, mapping.covariance)
 
 

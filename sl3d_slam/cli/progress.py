@@ -1,14 +1,35 @@
 """The progress of a long command, on stderr: a bar on a terminal, now and then a line elsewhere."""
 
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 SHOW_AFTER_S = 2.0
+NOTICE_AFTER_S = 4.0
 LINE_EVERY_S = 10.0
+
+
+@contextmanager
+def notice(sentence: str, concerns: Callable[[], bool], quiet: bool = False) -> Iterator[None]:
+    """Say a sentence on stderr where it still concerns the user after a few seconds."""
+
+    def say() -> None:
+        if concerns():
+            Console(stderr=True).print(sentence, highlight=False, soft_wrap=True)
+
+    timer = threading.Timer(NOTICE_AFTER_S, say)
+    timer.daemon = True
+    if not quiet:
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 class Meter:

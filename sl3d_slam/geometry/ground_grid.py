@@ -110,7 +110,10 @@ def low_grid(level: np.ndarray, half_width_m: float, cell_m: float) -> np.ndarra
         if 0 <= x < size and 0 <= y < size and level[i, 2] <= lowest[x, y] + LOW_BAND_M:
             count[x, y] += 1
             total[x, y] += level[i, 2]
-    return np.where(count >= 2, total / np.maximum(count, 1), np.inf)
+    for x in range(size):
+        for y in range(size):
+            total[x, y] = total[x, y] / count[x, y] if count[x, y] >= 2 else np.inf
+    return total
 
 
 @njit(cache=True, nogil=True)
@@ -144,15 +147,15 @@ def without_ghosts(lowest: np.ndarray, cell_m: float) -> np.ndarray:
 def slope_envelope(lowest: np.ndarray, cell_m: float) -> np.ndarray:
     """Lower the grid to the largest surface below it whose slope is limited."""
     size = len(lowest)
-    envelope, before = lowest.copy(), np.empty_like(lowest)
+    envelope, before = lowest.copy(), np.empty((size, size))
     for reach in (1, 2, 4):
         for dx, dy in STEPS:
             rise = MAX_SLOPE * cell_m * reach * np.hypot(dx, dy)
-            before[:] = envelope
+            envelope, before = before, envelope
             for x in range(size):
                 for y in range(size):
                     moved = before[(x - reach * dx) % size, (y - reach * dy) % size] + rise
-                    envelope[x, y] = min(envelope[x, y], moved)
+                    envelope[x, y] = min(before[x, y], moved)
     return envelope
 
 

@@ -5,6 +5,7 @@ in blocks of eight that lie together in memory: looking through a full cell cost
 reads, which matters once a town has half a million triangles.
 """
 
+from pathlib import Path
 from typing import NamedTuple, no_type_check
 
 import numpy as np
@@ -74,6 +75,13 @@ class TriangleTable:
         and its corners, in the order that lays them on the row's.
         """
         return _alike(self._blocks, xy, triangles, num_owners, slack_m, limit)
+
+
+def must_compile() -> bool:
+    """Tell whether looking for what is alike has neither run in this process nor been kept."""
+    return not _alike.signatures and not any(
+        Path(_alike.stats.cache_path).glob(f"*.{_alike.py_func.__name__}-*.nbi")
+    )
 
 
 def with_room(array: np.ndarray, count: int) -> np.ndarray:

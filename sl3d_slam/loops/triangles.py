@@ -34,24 +34,40 @@ def all_triangles(xy: Float64[np.ndarray, "V 2"], slack_m: float) -> Triangles:
 @no_type_check
 def _local(xy: np.ndarray, neighbours: int) -> np.ndarray:
     count = len(xy)
-    seen = set()
-    seen.add((0, 0, 0))
+    seen = np.zeros(count * (count - 1) * (count - 2) // 6, np.bool_)
     rows = np.empty((count * neighbours * (neighbours - 1) // 2, 3), np.int32)
+    near = np.empty(neighbours, np.int64)
     n = 0
     for i in range(count):
-        gaps = np.hypot(xy[:, 0] - xy[i, 0], xy[:, 1] - xy[i, 1])
-        gaps[gaps < MIN_SIDE_M] = np.inf
-        near = np.argsort(gaps)[:neighbours]
-        for a in range(neighbours):
+        num_near = _nearest(xy, i, near)
+        for a in range(num_near):
             for b in range(a):
                 j, k = near[a], near[b]
                 low, high = min(i, j, k), max(i, j, k)
-                key = (low, i + j + k - low - high, high)
-                if gaps[j] < MAX_SIDE_M and gaps[k] < MAX_SIDE_M and key not in seen:
-                    seen.add(key)
+                middle = i + j + k - low - high
+                number = high * (high - 1) * (high - 2) // 6 + middle * (middle - 1) // 2 + low
+                if not seen[number]:
+                    seen[number] = True
                     rows[n, 0], rows[n, 1], rows[n, 2] = i, j, k
                     n += 1
     return rows[:n]
+
+
+@njit(cache=True)
+@no_type_check
+def _nearest(xy: np.ndarray, i: int, near: np.ndarray) -> int:
+    """Write the points nearest to one, of those a useful side away; return how many there are."""
+    gaps = np.empty(len(xy))
+    for j in range(len(xy)):
+        gaps[j] = np.hypot(xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1])
+        if gaps[j] < MIN_SIDE_M:
+            gaps[j] = np.inf
+    for n in range(len(near)):
+        j = np.argmin(gaps)
+        if gaps[j] >= MAX_SIDE_M:
+            return n
+        near[n], gaps[j] = j, np.inf
+    return len(near)
 
 
 @njit(cache=True)

@@ -1,11 +1,13 @@
 """The progress meter on a terminal, in a log file and when told to be quiet."""
 
 import io
+import time
 
 import pytest
 from rich.console import Console
 
-from sl3d_slam.cli.progress import Meter
+from sl3d_slam.cli import progress
+from sl3d_slam.cli.progress import Meter, notice
 
 
 class Clock:
@@ -72,3 +74,23 @@ def test_error_passes_through_and_the_bar_is_put_away():
     with pytest.raises(ValueError, match="the scan is bad"):
         fail()
     assert out.getvalue().endswith("\x1b[?25h")  # the cursor is shown again
+
+
+@pytest.mark.parametrize(
+    ("concerns", "quiet", "said"), [(True, False, "wait\n"), (False, False, ""), (True, True, "")]
+)
+def test_a_notice_is_said_only_where_it_concerns_a_user_who_listens(
+    monkeypatch, capsys, concerns, quiet, said
+):
+    monkeypatch.setattr(progress, "NOTICE_AFTER_S", 0.02)
+    with notice("wait", lambda: concerns, quiet):
+        time.sleep(0.3)
+    assert capsys.readouterr().err == said
+
+
+def test_a_notice_is_not_said_once_the_work_is_over(monkeypatch, capsys):
+    monkeypatch.setattr(progress, "NOTICE_AFTER_S", 0.1)
+    with notice("wait", lambda: True):
+        pass
+    time.sleep(0.3)
+    assert capsys.readouterr().err == ""
