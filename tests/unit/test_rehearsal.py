@@ -11,6 +11,7 @@ import numpy as np
 from numba.core.registry import CPUDispatcher
 from sl3d_slam.closing import LoopCloser
 from sl3d_slam.config import load_config
+from sl3d_slam.graph.chain import OdometryChain
 from sl3d_slam.lines.extract import LineExtractor
 from sl3d_slam.rehearsal import rehearse_constellations, rehearse_keyframes
 
@@ -27,11 +28,13 @@ rehearse_keyframes(LineExtractor(config.lines), config)
 rehearse_constellations()
 assert not rehearse_constellations()
 before = compiled()
-closer = LoopCloser(config)
+chain = OdometryChain(config.graph)
+closer = LoopCloser(config, chain)
 for keyframe_id, path in enumerate(sys.argv[2:]):
     points = np.fromfile(path, np.float32).reshape(-1, 4)[:, :3].astype(float)
     T_odom_lidar = np.eye(4)
     T_odom_lidar[0, 3] = 100.0 * keyframe_id
+    chain.append(keyframe_id, T_odom_lidar, 50)
     closer.add(keyframe_id, closer.make_view(points), T_odom_lidar)
     here = {other_id: np.eye(4) for other_id in range(keyframe_id + 1)}
     found = closer.search(keyframe_id, {}) + closer.search(keyframe_id, here)
