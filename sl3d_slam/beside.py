@@ -18,6 +18,7 @@ from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import numba
+import numpy as np
 
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import Sl3dError
@@ -86,7 +87,7 @@ class Beside:
     def make_view(self, points_lidar: Points) -> "Future[Made]":
         """Begin a view; without workers it is done on return, and errors are raised here."""
         if self.workers > 0:
-            return self._begin(_make, points_lidar)
+            return self._begin(_make, _halved(points_lidar))
         return _done(self._here.make(points_lidar))
 
     def verify(self, candidates: Candidates) -> "Future[Verified]":
@@ -109,6 +110,12 @@ class Beside:
             begun = self._pool.submit(work, *argument)
         self._begun.append(begun)
         return begun
+
+
+def _halved(points_lidar: Points) -> np.ndarray:
+    """Return points as float32 where that is exact, as they are in most files; a scan is large."""
+    short = points_lidar.astype(np.float32)
+    return short if (short == points_lidar).all() else points_lidar
 
 
 def _done(result: T) -> "Future[T]":
@@ -192,9 +199,9 @@ def _rehearse() -> None:
     _bench.rehearse()
 
 
-def _make(points_lidar: Points) -> Made:
+def _make(points_lidar: np.ndarray) -> Made:
     assert _bench is not None
-    return _bench.make(points_lidar)
+    return _bench.make(points_lidar.astype(np.float64))
 
 
 def _verify(candidates: Candidates) -> Verified:

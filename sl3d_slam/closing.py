@@ -48,6 +48,7 @@ class LoopCloser:
         self._records = RecordFile.temporary() if records is None else records
         self._travelled_m: dict[int, float] = {}
         self._T_odom_last: Transform | None = None
+        self._verticals_of_last: tuple[int, Verticals] | None = None  # to be asked for
 
     @cached_property
     def _extractor(self) -> LineExtractor:
@@ -132,7 +133,10 @@ class LoopCloser:
         return is_worth_a_loop(float(np.hypot(*vote.pose[1:])), drift_m, self._config.loops)
 
     def _verticals(self, keyframe_id: int) -> Verticals:
-        return PreparedView(self.view(keyframe_id), self._config.matching).verticals
+        if self._verticals_of_last is None or self._verticals_of_last[0] != keyframe_id:
+            view = PreparedView(self.view(keyframe_id), self._config.matching)
+            self._verticals_of_last = keyframe_id, view.verticals
+        return self._verticals_of_last[1]
 
 
 class KeptClouds(Sequence[Float32[np.ndarray, "N 3"]]):

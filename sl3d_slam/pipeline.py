@@ -89,7 +89,7 @@ class SlamPipeline:
         times = None if stamps is None else _checked_stamps(stamps, len(points), index)[keep]
         if stamp_s is None:
             stamp_s = self._stamps_s[-1] + 0.1 if self._stamps_s else 0.0
-        return self.process(Scan(index, stamp_s, np.ascontiguousarray(points[keep]), times))
+        return self.process(Scan(index, stamp_s, points.compress(keep, axis=0), times))
 
     def process(self, scan: Scan) -> RegisteredScan:
         """Take the next scan as a reader gives it."""

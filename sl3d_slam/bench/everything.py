@@ -127,8 +127,8 @@ def _parts(
         return [relocalize.run(asked, out / "relocalize", *told)]
 
     def back_ends() -> list[Table]:
-        extent = backend.QUICK if quick else backend.FULL
-        return backend.run(out / "backend", extent, command=command, progress=progress)
+        size = backend.QUICK if quick else backend.FULL
+        return backend.run(out / "backend", size, command=command, progress=progress)
 
     of_drive = Comparison([drive], tuple(systems.PEERS))
     of_loops = Comparison([drive], loop_detectors.PEERS)

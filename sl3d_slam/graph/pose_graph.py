@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 import gtsam
+import numpy as np
 
 from sl3d_slam.config import GraphSettings
 from sl3d_slam.errors import GraphError
@@ -101,8 +102,11 @@ class PoseGraph:
 
     def estimates(self) -> dict[int, Transform]:
         """Return the live ``T_world_lidar`` of every keyframe, in the order they were added."""
-        values = self._isam.calculateEstimate()
-        return {key: values.atPose3(key).matrix() for key in self._keyframe_ids}
+        rows = gtsam.utilities.extractPose3(self._isam.calculateEstimate())  # by ascending key
+        poses = np.tile(np.eye(4), (len(rows), 1, 1))
+        poses[:, :3, :3], poses[:, :3, 3] = rows[:, :9].reshape(-1, 3, 3), rows[:, 9:]
+        by_key = dict(zip(sorted(self._keyframe_ids), poses, strict=True))
+        return {key: by_key[key] for key in self._keyframe_ids}
 
     def _pose(self, keyframe_id: int) -> gtsam.Pose3:
         return self._isam.calculateEstimatePose3(keyframe_id)

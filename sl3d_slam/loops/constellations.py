@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from numba import njit
 
-from sl3d_slam.loops.triangle_table import TriangleTable, with_room
+from sl3d_slam.loops.triangle_table import TriangleTable, corners_of, owner_of, with_room
 from sl3d_slam.loops.triangles import all_triangles, local_triangles
 
 NEIGHBOURS = 9
@@ -134,8 +134,7 @@ def _lay_all(
     xy: np.ndarray,
     triangles: np.ndarray,
     rows: np.ndarray,
-    owners: np.ndarray,
-    corners: np.ndarray,
+    names: np.ndarray,
     view_xy: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return for each pair of triangles the planar pose that lays the query on the view.
@@ -145,8 +144,8 @@ def _lay_all(
     poses, keys = np.empty((len(rows), 3)), np.empty(len(rows), np.int64)
     for n in range(len(rows)):
         i, j, k = triangles[rows[n], 0], triangles[rows[n], 1], triangles[rows[n], 2]
-        stored = view_xy[owners[n]]
-        u, v, w = corners[n, 0], corners[n, 1], corners[n, 2]
+        owner, (u, v, w) = owner_of(names[n]), corners_of(names[n])
+        stored = view_xy[owner]
         qx, qy = (xy[i, 0] + xy[j, 0] + xy[k, 0]) / 3.0, (xy[i, 1] + xy[j, 1] + xy[k, 1]) / 3.0
         sx = (stored[u, 0] + stored[v, 0] + stored[w, 0]) / 3.0
         sy = (stored[u, 1] + stored[v, 1] + stored[w, 1]) / 3.0
@@ -161,7 +160,7 @@ def _lay_all(
         poses[n, 0] = np.arctan2(cross, dot)
         poses[n, 1] = sx - (cosine * qx - sine * qy)
         poses[n, 2] = sy - (sine * qx + cosine * qy)
-        keys[n] = _key(owners[n], poses[n], n)
+        keys[n] = _key(owner, poses[n], n)
     return poses, keys
 
 

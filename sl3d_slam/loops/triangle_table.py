@@ -1,15 +1,16 @@
 """Where have I seen this triangle before? A table of triangles by their sides, compiled.
 
 A cell of the table holds the triangles of one sense whose sides fall into one cube of half a metre,
-in blocks of eight that lie together in memory: looking through a full cell costs no more than a few
-reads, which matters once a town has half a million triangles.
+in blocks of eight. What is looked at of a block, the sides and where the next block is, is 64 bytes
+long, one line of a processor's cache: with half a million triangles the table is far larger than
+the cache, and fetching it from memory is what takes the time.
 """
 
 from pathlib import Path
 from typing import NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, UInt8
+from jaxtyping import Float32, Float64, Int32, Int64, UInt16
 from numba import njit
 
 from sl3d_slam.loops.triangles import MAX_SIDE_M, Triangles, sides_m, turns_left
@@ -17,36 +18,34 @@ from sl3d_slam.loops.triangles import MAX_SIDE_M, Triangles, sides_m, turns_left
 CELL_M = 0.5
 CELLS = int(MAX_SIDE_M / CELL_M) + 1
 BLOCK = 8
+UNITS_PER_M = 1024.0  # sides are kept in whole units
+MOST = 64  # points of one owner
+COUNT, NEXT, LINE = 24, 25, 32  # in a line: after 8 times 3 sides, their number and the next block
 
 
 class Blocks(NamedTuple):
-    """The triangles, in blocks; the first ``counts`` of a block are filled.
+    """The triangles, in blocks numbered from 1.
 
-    ``heads`` (cells) and ``links`` name the newest block of a cell and the one before it, -1 where
-    there is none; ``sides_m``, ``owners`` and ``corners`` are those of each triangle.
+    ``heads`` name the newest block of every cell, 0 where there is none. A line holds the sides of
+    a block's triangles in units, how many they are, and the number of the block before it in two
+    parts. ``names`` tell of each triangle its owner and its corners, see :func:`owner_of`.
     """
 
     heads: Int32[np.ndarray, "H"]
-    links: Int32[np.ndarray, "B"]
-    counts: UInt8[np.ndarray, "B"]
-    sides_m: Float32[np.ndarray, "B T 3"]
-    owners: Int32[np.ndarray, "B T"]
-    corners: UInt8[np.ndarray, "B T 3"]
+    lines: UInt16[np.ndarray, "B 32"]
+    names: Int64[np.ndarray, "B T"]
 
 
 class TriangleTable:
     """Triangles of point sets, each set known by a number, its owner."""
 
     def __init__(self) -> None:
-        self._num_blocks = 0
+        self._num_blocks = 1  # the first is never used
         self._num_triangles = 0
         self._blocks = Blocks(
-            heads=np.full(2 * CELLS**3, -1, np.int32),
-            links=np.empty(0, np.int32),
-            counts=np.empty(0, np.uint8),
-            sides_m=np.empty((0, BLOCK, 3), np.float32),
-            owners=np.empty((0, BLOCK), np.int32),
-            corners=np.empty((0, BLOCK, 3), np.uint8),
+            heads=np.zeros(2 * CELLS**3, np.int32),
+            lines=np.empty((0, LINE), np.uint16),
+            names=np.empty((0, BLOCK), np.int64),
         )
 
     def __len__(self) -> int:
@@ -54,10 +53,10 @@ class TriangleTable:
         return self._num_triangles
 
     def add(self, owner: int, xy: Float32[np.ndarray, "V 2"], triangles: Triangles) -> None:
-        """Store triangles of at most 256 points."""
-        heads, *rest = self._blocks
-        rest = [with_room(array, self._num_blocks + len(triangles)) for array in rest]
-        self._blocks = Blocks(heads, *rest)
+        """Store triangles of at most 64 points."""
+        heads, lines, names = self._blocks
+        needed = self._num_blocks + len(triangles)
+        self._blocks = Blocks(heads, with_room(lines, needed), with_room(names, needed))
         self._num_blocks = _add(self._blocks, self._num_blocks, owner, xy, triangles)
         self._num_triangles += len(triangles)
 
@@ -68,11 +67,12 @@ class TriangleTable:
         num_owners: int,
         slack_m: float,
         limit: int,
-    ) -> tuple[Int32[np.ndarray, "M"], Int32[np.ndarray, "M"], UInt8[np.ndarray, "M 3"]]:
+    ) -> tuple[Int32[np.ndarray, "M"], Int64[np.ndarray, "M"]]:
         """Return pairs of triangles whose sides differ by less than a slack, at most ``limit``.
 
-        Of each pair the row in ``triangles``, the owner (below ``num_owners``) of the stored one
-        and its corners, in the order that lays them on the row's.
+        Of each pair the row in ``triangles``, and the name of the stored one, whose corners have
+        the order that lays them on the row's; owners are below ``num_owners``. The slack is below
+        half a metre and holds to a millimetre.
         """
         return _alike(self._blocks, xy, triangles, num_owners, slack_m, limit)
 
@@ -102,21 +102,37 @@ def _add(blocks: Blocks, num_blocks: int, owner: int, xy: np.ndarray, triangles:
         a, b, c = sides_m(xy, i, j, k)
         cell = _cell(int(a / CELL_M), int(b / CELL_M), int(c / CELL_M), turns_left(xy, i, j, k))
         block = blocks.heads[cell]
-        if block < 0 or blocks.counts[block] == BLOCK:
-            blocks.links[num_blocks] = block
-            blocks.counts[num_blocks] = 0
+        if block == 0 or blocks.lines[block, COUNT] == BLOCK:
+            line = blocks.lines[num_blocks]
+            line[COUNT], line[NEXT], line[NEXT + 1] = 0, block & 0xFFFF, block >> 16
             blocks.heads[cell] = block = num_blocks
             num_blocks += 1
-        place = blocks.counts[block]
-        blocks.counts[block] += 1
-        blocks.owners[block, place] = owner
-        blocks.sides_m[block, place, 0] = a
-        blocks.sides_m[block, place, 1] = b
-        blocks.sides_m[block, place, 2] = c
-        blocks.corners[block, place, 0] = i
-        blocks.corners[block, place, 1] = j
-        blocks.corners[block, place, 2] = k
+        line = blocks.lines[block]
+        place = np.int64(line[COUNT])
+        line[COUNT] += 1
+        line[3 * place], line[3 * place + 1], line[3 * place + 2] = _units(a), _units(b), _units(c)
+        blocks.names[block, place] = ((owner * MOST + i) * MOST + j) * MOST + k
     return num_blocks
+
+
+@njit(cache=True)
+@no_type_check
+def owner_of(name: int) -> int:
+    """Return the owner of a stored triangle."""
+    return name // MOST**3
+
+
+@njit(cache=True)
+@no_type_check
+def corners_of(name: int) -> tuple[int, int, int]:
+    """Return the corners of a stored triangle, rows of its owner's points."""
+    return name // MOST**2 % MOST, name // MOST % MOST, name % MOST
+
+
+@njit(cache=True)
+@no_type_check
+def _units(side_m: float) -> int:
+    return int(side_m * UNITS_PER_M + 0.5)
 
 
 @njit(cache=True)
@@ -134,36 +150,36 @@ def _alike(
     num_owners: int,
     slack_m: float,
     limit: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    rows, owners = np.empty(limit, np.int32), np.empty(limit, np.int32)
-    corners = np.empty((limit, 3), np.uint8)
-    n, cells = 0, np.empty(27, np.int64)
+) -> tuple[np.ndarray, np.ndarray]:
+    rows, names = np.empty(limit, np.int32), np.empty(limit, np.int64)
+    n, cells, slack = 0, np.empty(27, np.int64), _units(slack_m)
     for t in range(len(triangles)):
-        a, b, c = sides_m(xy, triangles[t, 0], triangles[t, 1], triangles[t, 2])
+        sides = sides_m(xy, triangles[t, 0], triangles[t, 1], triangles[t, 2])
         left = turns_left(xy, triangles[t, 0], triangles[t, 1], triangles[t, 2])
-        for s in range(_cells_around(a, b, c, left, slack_m, cells)):
+        a, b, c = _units(sides[0]), _units(sides[1]), _units(sides[2])
+        for s in range(_cells_around(sides, left, slack_m, cells)):
             block = blocks.heads[cells[s]]
-            while block >= 0:
-                for p in range(blocks.counts[block]):
-                    stored, owner = blocks.sides_m[block, p], blocks.owners[block, p]
-                    near = abs(a - stored[0]) < slack_m and abs(b - stored[1]) < slack_m
-                    near = near and abs(c - stored[2]) < slack_m
-                    if near and owner < num_owners and n < limit:
-                        rows[n], owners[n] = t, owner
-                        corners[n] = blocks.corners[block, p]
+            while block > 0:
+                line = blocks.lines[block]
+                for p in range(np.int64(line[COUNT])):
+                    gap = abs(a - np.int64(line[3 * p]))
+                    gap = max(gap, abs(b - np.int64(line[3 * p + 1])))
+                    gap = max(gap, abs(c - np.int64(line[3 * p + 2])))
+                    if gap < slack and owner_of(blocks.names[block, p]) < num_owners and n < limit:
+                        rows[n], names[n] = t, blocks.names[block, p]
                         n += 1
-                block = blocks.links[block]
-    return rows[:n], owners[:n], corners[:n]
+                block = np.int64(line[NEXT]) | np.int64(line[NEXT + 1]) << 16
+    return rows[:n], names[:n]
 
 
 @njit(cache=True)
 @no_type_check
 def _cells_around(
-    a: float, b: float, c: float, left: int, slack_m: float, cells: np.ndarray
+    sides: tuple[float, float, float], left: int, slack_m: float, cells: np.ndarray
 ) -> int:
     """Write the cells that hold what differs by at most a slack below half a metre; count them."""
-    (low_a, high_a), (low_b, high_b) = _span(a, slack_m), _span(b, slack_m)
-    low_c, high_c = _span(c, slack_m)
+    (low_a, high_a), (low_b, high_b) = _span(sides[0], slack_m), _span(sides[1], slack_m)
+    low_c, high_c = _span(sides[2], slack_m)
     n = 0
     for i in range(low_a, high_a + 1):
         for j in range(low_b, high_b + 1):
