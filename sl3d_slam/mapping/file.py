@@ -22,7 +22,8 @@ from sl3d_slam.mapping.tensors import CLOUD_CODING, CODING, Tensors, map_of, map
 KEY = "sl3d_map"
 MAPPED = {"cloud_keys": ("<u1", "U8"), "cloud_means": ("<u2", "U16")}
 FORMAT = "sl3d line map"
-VERSION = 1
+VERSION = 2
+DESCRIPTOR_BITS = {1: 6, 2: 4}  # of each version
 FRAMES = (
     "metres; map: right-handed, as the run's world frame; keyframe: the lidar's frame, x forward, "
     "y left, z up; poses take keyframe coordinates to map coordinates"
@@ -64,7 +65,7 @@ def read_map(path: Path) -> LineMap:
         raise InputError(f"{path}: is damaged, its checksum does not fit; {EXPECTED}")
     try:
         voxel_m, origin = _facts(header)
-        return map_of(tensors, voxel_m, origin)
+        return map_of(tensors, voxel_m, origin, DESCRIPTOR_BITS[header["version"]])
     except ValueError as error:
         raise InputError(f"{path}: is not a sound line map; {error}") from None
 
@@ -114,6 +115,8 @@ def _read_header(path: Path, text: str | None) -> dict[str, Any]:
             f"{path}: is a line map of version {version}, newer than this program's {VERSION}; "
             "expected a map of that version or older, or a newer sl3d"
         )
+    if not isinstance(version, int) or version not in DESCRIPTOR_BITS:
+        raise InputError(f"{path}: does not say its version; {EXPECTED}")
     return header
 
 

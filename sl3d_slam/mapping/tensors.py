@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from sl3d_slam.mapping.build import Sightings, by_keyframe
 from sl3d_slam.mapping.line_map import LineMap, MapOrigin
-from sl3d_slam.mapping.quantise import BITS, STEPS, quantise, restore
+from sl3d_slam.mapping.quantise import BITS, quantise, restore, steps_of
 from sl3d_slam.mapping.varint import pack, pack_table, unpack, unpack_table
 from sl3d_slam.mapping.voxels import BLOCK_VOXELS, LEVELS, VoxelCloud
 from sl3d_slam.types import LineKind, LineSet
@@ -40,7 +40,7 @@ CODING = {
     "num_points": "table of one column",
     "scores": "255 is 1",
     "descriptors": f"{BITS} bits an entry, low bit first, from the high bit of each byte; less "
-    f"{STEPS}, times descriptor_scales, then made unit length",
+    f"{steps_of(BITS)}, times descriptor_scales, then made unit length",
     "poses": "table of x y z in mm, rotation vector in 1e-5 rad",
     "up": "table of x y z in 1e-4",
     "support": "list: how many keyframes saw each landmark",
@@ -82,7 +82,9 @@ def map_tensors(line_map: LineMap) -> Tensors:
     return tensors if line_map.cloud is None else tensors | _cloud_tensors(line_map.cloud)
 
 
-def map_of(tensors: Tensors, voxel_m: float | None, origin: MapOrigin) -> LineMap:
+def map_of(
+    tensors: Tensors, voxel_m: float | None, origin: MapOrigin, descriptor_bits: int = BITS
+) -> LineMap:
     """Return the map that the arrays describe.
 
     Raises
@@ -91,7 +93,7 @@ def map_of(tensors: Tensors, voxel_m: float | None, origin: MapOrigin) -> LineMa
         saying which array is not what it should be.
     """
     _check_layout(tensors, LAYOUT if voxel_m is None else LAYOUT | CLOUD_LAYOUT)
-    lines = _lines_of(tensors)
+    lines = _lines_of(tensors, descriptor_bits)
     poses = _poses_of(tensors)
     up = unpack_table(tensors["up"], 3) / UNIT
     norm = np.linalg.norm(up, axis=1, keepdims=True)
@@ -141,7 +143,7 @@ def _check_layout(tensors: Tensors, layout: dict[str, tuple[str, int]]) -> None:
         _require(found.dtype == dtype and found.ndim == rank, f"{name} as {dtype} of rank {rank}")
 
 
-def _lines_of(tensors: Tensors) -> LineSet:
+def _lines_of(tensors: Tensors, descriptor_bits: int) -> LineSet:
     table = unpack_table(tensors["endpoints"], 6)
     start = table[:, :3] / METRE
     endpoints = np.stack([start, start + table[:, 3:] / METRE], axis=1)
@@ -156,7 +158,7 @@ def _lines_of(tensors: Tensors) -> LineSet:
     _require(bool(np.all((scales > 1e-30) & (scales < 1e6))), "positive scales of descriptors")
     return LineSet(
         endpoints=endpoints,
-        descriptors=restore(tensors["descriptors"], scales),
+        descriptors=restore(tensors["descriptors"], scales, descriptor_bits),
         num_points=num_points,
         kinds=tensors["kinds"],
         scores=(tensors["scores"] / np.float32(255)).astype(np.float32),

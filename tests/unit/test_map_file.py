@@ -57,7 +57,7 @@ def line_map():
 def write_forged(path, tensors, **changes):
     """Write a file with a fitting checksum, whatever it holds."""
     header = {
-        "format": "sl3d line map", "version": 1, "model": "m", "config": "", "simulated": False,
+        "format": "sl3d line map", "version": 2, "model": "m", "config": "", "simulated": False,
         "cloud_voxel_m": 0.8,
     } | changes  # fmt: skip
     header["checksum"] = checksum(header, tensors)
@@ -77,8 +77,8 @@ def test_what_is_written_is_read_within_the_steps_of_the_file(tmp_path, rng, clo
     assert np.abs(shift[:, :3, 3]).max() <= half_mm
     assert np.abs(shift[:, :3, :3]).max() <= 1e-5  # half a step of 1e-5 rad on each axis
     assert np.abs(read.keyframe_up - written.keyframe_up).max() <= 1e-4
-    # a step is a 31st of a dimension's largest entry; measured loss at 28 dimensions is 0.001
-    assert (read.lines.descriptors * written.lines.descriptors).sum(axis=1).min() > 0.998
+    # a step is a seventh of a dimension's largest entry; measured loss at 28 dimensions is 0.006
+    assert (read.lines.descriptors * written.lines.descriptors).sum(axis=1).min() > 0.99
     assert np.abs(read.lines.scores - written.lines.scores).max() <= 0.5 / 255 + 1e-6
     for name in ("kinds", "num_points"):
         assert np.array_equal(getattr(read.lines, name), getattr(written.lines, name))
@@ -108,7 +108,7 @@ def test_header_tells_what_the_file_is(tmp_path, line_map):
         header = json.loads(file.metadata()[KEY])
         shapes = {name: file.get_tensor(name).dtype.name for name in file.keys()}  # noqa: SIM118
     assert header["format"] == "sl3d line map"
-    assert header["version"] == 1
+    assert header["version"] == 2
     assert header["model"] == "geometric 0123"
     assert header["simulated"] is True
     assert header["landmarks"] == len(line_map)
@@ -139,7 +139,7 @@ def test_an_older_file_stays_readable(tmp_path):
         "support": np.array([2], np.uint8),
         "seen_by": np.array([0, 0], np.uint8),
     }
-    read = LineMap.load(write_forged(tmp_path / "old", tensors, cloud_voxel_m=None))
+    read = LineMap.load(write_forged(tmp_path / "old", tensors, cloud_voxel_m=None, version=1))
     assert read.lines.endpoints.tolist() == [[[1, 0, 0], [1, 0, 1]]]
     assert read.lines.num_points.tolist() == [7]
     assert read.lines.kinds.tolist() == [LineKind.POLE]
@@ -166,9 +166,9 @@ def test_missing_empty_foreign_and_folder_are_named(tmp_path, line_map):
 def test_newer_version_is_refused_before_anything_else(tmp_path):
     path = tmp_path / "next.sl3d"
     path.write_bytes(
-        save({"what": np.zeros(2)}, {KEY: json.dumps({"format": "sl3d line map", "version": 2})})
+        save({"what": np.zeros(2)}, {KEY: json.dumps({"format": "sl3d line map", "version": 3})})
     )
-    with pytest.raises(InputError, match=r"next\.sl3d: .*version 2, newer .* 1; expected"):
+    with pytest.raises(InputError, match=r"next\.sl3d: .*version 3, newer .* 2; expected"):
         LineMap.load(path)
 
 
@@ -328,11 +328,13 @@ def test_descriptors_keep_their_angles(rng, dimension):
     unit = rng.normal(0, 1, (5000, dimension)).astype(np.float32)
     unit /= np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-9)
     packed, scales = quantise(unit)
-    assert packed.shape == (5000, -(-6 * dimension // 8))
+    assert packed.shape == (5000, -(-4 * dimension // 8))
     restored = restore(packed, scales)
     assert restored.dtype == np.float32
     if dimension:
-        assert (restored * unit).sum(axis=1).min() > 0.997
+        # the largest of 5,000 entries is 3.9 of their sigma: rounding by a 14th of that, 0.16 sigma
+        assert (restored * unit).sum(axis=1).mean() > 0.985
+        assert (restored * unit).sum(axis=1).min() > 0.96
 
 
 def test_what_no_file_can_hold_is_refused(tmp_path, line_map):
