@@ -52,7 +52,7 @@ class KeyframeSettings(Settings):
 class LineSettings(Settings):
     """How lines are found in one scan; ``weights`` is a file, or None for the shipped ones."""
 
-    method: Literal["geometric", "learned"] = "geometric"
+    method: Literal["learned", "geometric"] = "learned"
     weights: str | None = None
     voxel_size_m: float = Field(default=0.15, gt=0)
     max_range_m: float = Field(default=60.0, gt=0)

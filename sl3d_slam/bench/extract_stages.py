@@ -1,5 +1,6 @@
 """How long each stage of line extraction takes, told from outside: the extractor knows no clock."""
 
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -36,25 +37,29 @@ STAGES: Mapping[str, Sequence[Stage]] = {
 
 
 class Stopwatch:
-    """Sums up the processor seconds of stages; what a stage calls counts for the inner one only."""
+    """Sums up the processor seconds of stages; what a stage calls counts for the inner one only.
 
-    def __init__(self, clock: Callable[[], float] = time.process_time) -> None:
+    Each thread is timed by itself.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.thread_time) -> None:
         self._clock = clock
-        self._inner_s = [0.0]
+        self._thread = threading.local()
         self.taken_s: dict[str, float] = defaultdict(float)
 
     def timed(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
         """Return a function that does the same and is timed."""
 
         def run(*arguments: Any, **named: Any) -> Any:
+            inner_s: list[float] = self._thread.__dict__.setdefault("inner_s", [0.0])
             start_s = self._clock()
-            self._inner_s.append(0.0)
+            inner_s.append(0.0)
             try:
                 return function(*arguments, **named)
             finally:
                 total_s = self._clock() - start_s
-                self.taken_s[stage] += total_s - self._inner_s.pop()
-                self._inner_s[-1] += total_s
+                self.taken_s[stage] += total_s - inner_s.pop()
+                inner_s[-1] += total_s
 
         return run
 

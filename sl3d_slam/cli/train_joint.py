@@ -19,6 +19,13 @@ def joint(
         list[Path] | None,
         typer.Option(metavar="DIR", help="Labels of `sl3d train label`; may be repeated."),
     ] = None,
+    singles: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="DATA",
+            help="Scans of unrelated places, labelled by --from (else by geometry); repeatable.",
+        ),
+    ] = None,
     held_out: Annotated[
         list[Path] | None,
         typer.Option(metavar="DATA", help="Drive to measure on, never trained on; repeatable."),
@@ -29,7 +36,7 @@ def joint(
         Path | None, typer.Option("--from", metavar="WEIGHTS", help="Start from these weights.")
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a run.")] = False,
-    points: Annotated[int, typer.Option(min=50, help="At most so many a cloud.")] = 12_000,
+    points: Annotated[int, typer.Option(min=50, help="At most so many a cloud.")] = 9_000,
     rate: Annotated[float, typer.Option(help="Highest learning rate.")] = 2e-3,
     contrast: Annotated[
         float, typer.Option(min=0, help="Weight of the ranking loss; the paper has none.")
@@ -84,9 +91,18 @@ def joint(
         problem = error.errors()[0]
         raise InputError(f"{problem['loc'][0]}: {problem['msg']}") from None
     plan = JointPlan(
-        tuple(data), out, tuple(labels or ()), tuple(held_out or ()), start, resume, cache,
-        checkpoint_every, stop, threads,
-    )  # fmt: skip
+        data=tuple(data),
+        out=out,
+        labels=tuple(labels or ()),
+        singles=tuple(singles or ()),
+        held_out=tuple(held_out or ()),
+        start=start,
+        resume=resume,
+        cache=cache,
+        checkpoint_every=checkpoint_every,
+        stop=stop,
+        threads=threads,
+    )
     with Meter(None, "scans prepared", quiet) as reading, Meter(steps, "steps", quiet) as meter:
         train_joint(plan, settings, network, reading.advance, meter.advance)
     if not quiet:

@@ -43,17 +43,18 @@ class JointTraining:
         settings: JointSettings,
         out: Path,
         team: Team = Team(),  # noqa: B008  (frozen)
+        singles: Sequence[PreparedDrive] = (),
     ) -> None:
         """Take the folder into use; nothing is trained yet."""
         self.model, self.settings, self._team = model, settings, team
         self._out = prepare_run_folder(out)
-        self._source = PairSource(drives, settings, model.settings)
+        self._source = PairSource(drives, settings, model.settings, singles)
         self._optimiser = torch.optim.Adam(model.parameters(), lr=settings.learning_rate)
         self._agreed = json.dumps(
             {
                 "settings": settings.model_dump(),
                 "network": model.settings.model_dump(),
-                "drives": [[drive.name, len(drive.scans)] for drive in drives],
+                "drives": [[drive.name, len(drive.scans)] for drive in (*drives, *singles)],
                 "processes": team.size,
             }
         )

@@ -16,6 +16,7 @@ from sl3d_slam.learning.joint_validation import detect, rank
 from sl3d_slam.learning.parallel import Team, joined_team
 from sl3d_slam.learning.prepare import find_sources, prepare_drive
 from sl3d_slam.learning.prepared import PreparedDrive
+from sl3d_slam.learning.single_scans import prepare_singles
 from sl3d_slam.lines.network.model import SuperLine3D
 from sl3d_slam.lines.network.settings import NetworkSettings
 from sl3d_slam.lines.network.weights_file import load_weights
@@ -27,6 +28,7 @@ VALIDATION, PREPARED = "validation.csv", "prepared"
 class JointPlan:
     """What to train on and with.
 
+    ``singles`` are folders of scans of unrelated places, labelled by ``start``.
     ``start`` are weights to start from, ``held_out`` drives to look at and never to learn from;
     ``stop`` is the step to leave the run at, as if it were killed there; ``threads`` are those of
     one process.
@@ -35,6 +37,7 @@ class JointPlan:
     data: tuple[Path, ...]
     out: Path
     labels: tuple[Path, ...] = ()
+    singles: tuple[Path, ...] = ()
     held_out: tuple[Path, ...] = ()
     start: Path | None = None
     resume: bool = False
@@ -85,7 +88,11 @@ def train_joint(
     with joined_team() as team:
         model = start_model(network, settings, plan.start)
         drives, held_out = _prepare_together(plan, model.settings, team, prepared)
-        training = JointTraining(model, drives, settings, plan.out, team)
+        singles = [
+            prepare_singles(folder, cache_of(plan), model.settings, plan.start, prepared)
+            for folder in plan.singles
+        ]
+        training = JointTraining(model, drives, settings, plan.out, team, singles)
         if plan.resume:
             training.resume()
             progress("resumed", training.step)
@@ -124,15 +131,19 @@ def _prepare_together(
     return drives, held_out
 
 
+def cache_of(plan: JointPlan) -> Path:
+    """Return where prepared drives are kept."""
+    return plan.cache or plan.out / PREPARED
+
+
 def _prepare(
     plan: JointPlan,
     data: Sequence[Path],
     network: NetworkSettings,
     progress: Callable[[str], None],
 ) -> list[PreparedDrive]:
-    cache = plan.cache or plan.out / PREPARED
     drives = [
-        prepare_drive(source, cache, network, progress)
+        prepare_drive(source, cache_of(plan), network, progress)
         for source in find_sources(data, plan.labels)
     ]
     return [replace(drive, name=f"{index}:{drive.name}") for index, drive in enumerate(drives)]

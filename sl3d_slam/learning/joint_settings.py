@@ -26,13 +26,22 @@ class LossSettings(Settings):
 
 
 class AugmentSettings(Settings):
-    """How a cloud is changed before it is shown: yaw is always drawn from the full circle."""
+    """How a cloud is changed before it is shown: yaw is always drawn from the full circle.
+
+    ``max_scale`` is how much larger or smaller a pair is made, as a factor. A cloud gets a sector
+    of up to ``max_foreign_deg`` from another scan with the chance ``foreign_share``, and up to
+    ``max_holes`` holes.
+    """
 
     max_tilt_deg: float = Field(default=4.0, ge=0, le=30)
     max_thinning: float = Field(default=0.5, ge=0, lt=1)
     beam_share: float = Field(default=0.35, ge=0, le=1)
     noise_m: float = Field(default=0.015, ge=0)
     height_noise_m: float = Field(default=0.1, ge=0)
+    max_scale: float = Field(default=1.15, ge=1)
+    foreign_share: float = Field(default=0.5, ge=0, le=1)
+    max_foreign_deg: float = Field(default=150.0, ge=0, le=360)
+    max_holes: int = Field(default=6, ge=0)
 
 
 class JointSettings(Settings):
@@ -40,7 +49,7 @@ class JointSettings(Settings):
 
     steps: int = Field(default=6500, ge=1)
     pairs_per_step: int = Field(default=1, ge=1)
-    points: int = Field(default=12_000, ge=50)
+    points: int = Field(default=9_000, ge=50)
     learning_rate: float = Field(default=2e-3, gt=0)
     warmup_steps: int = Field(default=100, ge=0)
     seed: int = Field(default=0, ge=0)

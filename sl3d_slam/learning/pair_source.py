@@ -5,20 +5,31 @@ from collections.abc import Sequence
 import numpy as np
 
 from sl3d_slam.errors import InputError
-from sl3d_slam.geometry.se3 import invert
+from sl3d_slam.geometry.se3 import Transform, invert
 from sl3d_slam.learning.augment import augment, without_faint_lines
 from sl3d_slam.learning.batch import PairBatch, make_batch
 from sl3d_slam.learning.joint_settings import JointSettings
+from sl3d_slam.learning.mixing import scaled, with_foreign_sector, with_holes
 from sl3d_slam.learning.pairs import close_pairs, draw_pair, same_lines
-from sl3d_slam.learning.prepared import PreparedDrive
+from sl3d_slam.learning.prepared import PreparedDrive, PreparedScan
+from sl3d_slam.learning.virtual_view import draw_places, two_views
 from sl3d_slam.lines.network.settings import NetworkSettings
+
+Pair = tuple[tuple[PreparedScan, PreparedScan], Transform]
 
 
 class PairSource:
-    """Draws pairs of scans, real and simulated in the share that the settings ask for."""
+    """Draws pairs of scans, real and simulated in the share that the settings ask for.
+
+    ``singles`` are scans of unrelated places: each makes pairs by itself, as seen from two places.
+    """
 
     def __init__(
-        self, drives: Sequence[PreparedDrive], settings: JointSettings, network: NetworkSettings
+        self,
+        drives: Sequence[PreparedDrive],
+        settings: JointSettings,
+        network: NetworkSettings,
+        singles: Sequence[PreparedDrive] = (),
     ) -> None:
         """Find all pairs of all drives.
 
@@ -28,6 +39,7 @@ class PairSource:
             where no drive has two scans close enough.
         """
         self._settings, self._network = settings, network
+        self._singles = [scan for drive in singles for scan in drive.scans]
         pairs = [close_pairs(d.T_world_lidar, settings.max_pair_distance_m) for d in drives]
         usable = [k for k in range(len(drives)) if len(pairs[k])]
         if not usable:
@@ -44,38 +56,50 @@ class PairSource:
 
     @property
     def num_pairs(self) -> int:
-        """How many pairs there are to draw from."""
-        return sum(map(len, self._pairs))
+        """How many pairs there are to draw from; a single scan counts as one."""
+        return sum(map(len, self._pairs)) + len(self._singles)
 
     def draw(self, number: int) -> PairBatch:
         """Return pair ``number`` of the run, augmented."""
         rng = np.random.default_rng([self._settings.seed, number])
-        drive, first, second = self._draw_scans(rng)
-        chosen = self._drives[drive]
-        T_first_second = invert(chosen.T_world_lidar[first]) @ chosen.T_world_lidar[second]
-        scans = (chosen.scans[first], chosen.scans[second])
+        scans, T_first_second = self._draw_pair(rng)
         matches = same_lines(
             scans[0].endpoints, scans[1].endpoints, T_first_second, self._settings.match_distance_m
         )
         mirrored = bool(rng.random() < 0.5)
-        changed = [
-            without_faint_lines(
-                augment(scan, self._settings.augment, self._settings.points, mirrored, rng),
-                self._settings.min_line_points,
-            )
-            for scan in scans
-        ]
+        factor = float(self._settings.augment.max_scale ** rng.uniform(-1.0, 1.0))
+        changed = [self._changed(scan, factor, mirrored, rng) for scan in scans]
         return make_batch(changed[0], changed[1], matches, self._network)
 
-    def _draw_scans(self, rng: np.random.Generator) -> tuple[int, int, int]:
+    def _changed(
+        self, scan: PreparedScan, factor: float, mirrored: bool, rng: np.random.Generator
+    ) -> PreparedScan:
+        """Return one side of a pair as it is shown; its own lines keep their rows."""
+        how = self._settings.augment
+        if rng.random() < how.foreign_share:
+            scan = with_foreign_sector(scan, self._any_scan(rng), how, rng)
+        scan = scaled(with_holes(scan, how, rng), factor)
+        shown = augment(scan, how, self._settings.points, mirrored, rng)
+        return without_faint_lines(shown, self._settings.min_line_points)
+
+    def _any_scan(self, rng: np.random.Generator) -> PreparedScan:
+        drive = self._drives[int(rng.integers(len(self._drives)))]
+        return drive.scans[int(rng.integers(len(drive.scans)))]
+
+    def _draw_pair(self, rng: np.random.Generator) -> Pair:
         """Draw a drive (more scans, more often, real and simulated apart), then a pair of it."""
-        simulated = np.array([drive.simulated for drive in self._drives])
-        weights = np.sqrt([len(drive.scans) for drive in self._drives])
-        if simulated.any() and not simulated.all():
+        simulated = np.array([*(drive.simulated for drive in self._drives), False])
+        weights = np.sqrt([*(len(drive.scans) for drive in self._drives), len(self._singles) ** 2])
+        if simulated.any() and weights[~simulated].any():
             share = self._settings.real_share
             weights[~simulated] *= share / weights[~simulated].sum()
             weights[simulated] *= (1.0 - share) / weights[simulated].sum()
         drive = int(rng.choice(len(weights), p=weights / weights.sum()))
         wanted_m = rng.uniform(0.0, self._settings.max_pair_distance_m)
+        if drive == len(self._drives):
+            scan = self._singles[int(rng.integers(len(self._singles)))]
+            return two_views(scan, draw_places(wanted_m, rng), rng)
         first, second = draw_pair(self._pairs[drive], self._gaps_m[drive], wanted_m, rng)
-        return drive, first, second
+        chosen = self._drives[drive]
+        T_first_second = invert(chosen.T_world_lidar[first]) @ chosen.T_world_lidar[second]
+        return (chosen.scans[first], chosen.scans[second]), T_first_second

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 
-from sl3d_slam.config import InputSettings, OdometrySettings
+from sl3d_slam.config import InputSettings, LineSettings, OdometrySettings
 from sl3d_slam.errors import InputError
+from sl3d_slam.geometry.se3 import Points
 from sl3d_slam.io.dataset import Dataset
 from sl3d_slam.io.folder import ScanFiles, read_cloud
 from sl3d_slam.io.open import open_dataset
@@ -32,9 +33,10 @@ from sl3d_slam.learning.scan_labels import (
 from sl3d_slam.lines.extract import LineExtractor
 from sl3d_slam.lines.network.sample import network_points
 from sl3d_slam.lines.network.settings import NetworkSettings
+from sl3d_slam.lines.scene import make_scene
 from sl3d_slam.odometry.odometry import Odometry
 
-FORMAT = 3
+FORMAT = 4
 Progress = Callable[[str], None]
 
 
@@ -105,7 +107,7 @@ def prepare_drive(
 
 
 def _key(source: DriveSource, network: NetworkSettings) -> str:
-    fields = network.model_dump(include={"voxel_size_m", "max_points", "drop_ground"})
+    fields = network.model_dump(include={"voxel_size_m", "max_points"})
     labels = None if source.labels is None else str(source.labels.resolve())
     files = [] if source.labels is None else sorted(source.labels.glob("*.npz"))
     newest = max((file.stat().st_mtime_ns for file in files), default=0)
@@ -123,14 +125,22 @@ def _scans_by_landmarks(
     dataset: Dataset, T_world_lidar: np.ndarray, network: NetworkSettings, progress: Progress
 ) -> Iterator[PreparedScan]:
     clouds, found = [], []
-    extractor = LineExtractor()
+    extractor = LineExtractor(LineSettings(method="geometric"))
     for scan in dataset:
-        clouds.append(network_points(scan.points_lidar, network))
+        clouds.append(points_of_network(scan.points_lidar, network))
         found.append(extractor.extract(scan.points_lidar))
         progress(dataset.name)
     landmarks = find_landmarks(found, T_world_lidar)
     for points, T in zip(clouds, T_world_lidar, strict=True):
         yield _labelled(points, landmarks, T, T_world_lidar[:, :3, 3])
+
+
+def points_of_network(points_lidar: Points, network: NetworkSettings) -> Float32[np.ndarray, "M 4"]:
+    """Return what the network sees of a scan, in the lidar frame."""
+    scene = make_scene(points_lidar, LineSettings())
+    points = network_points(scene, network)
+    points[:, :3] = points[:, :3] @ scene.R_level_lidar.astype(np.float32)
+    return points
 
 
 def _labelled(
@@ -166,7 +176,7 @@ def _scans_by_files(
         keep = usable(cloud.points, files.settings, str(path))
         line_ids, endpoints = read_labels(_label_file(labels, index), len(keep))
         raw = cloud.points[keep]
-        points = network_points(raw, network)
+        points = points_of_network(raw, network)
         ids = network_labels(points[:, :3], raw, line_ids[keep])
         if town is None:
             yield kept_lines(points, ids, endpoints, np.zeros(len(endpoints), np.uint8))

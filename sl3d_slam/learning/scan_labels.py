@@ -14,7 +14,7 @@ from sl3d_slam.learning.prepared import BACKGROUND, IGNORED, PreparedScan
 from sl3d_slam.types import LineKind
 
 MIN_MEMBERS = 3
-LABEL_RADIUS_M = 0.1
+LABEL_RADIUS_M = 0.15
 STANDING = (LineKind.POLE, LineKind.VERTICAL_EDGE)
 
 
@@ -23,7 +23,7 @@ def network_labels(
 ) -> Int32[np.ndarray, "M"]:
     """Carry labels of a scan's points (N, 3) over to its network points (M, 3).
 
-    A network point belongs to the line of the nearest point of a line within 0.1 m, as it stands
+    A network point belongs to the line of the nearest point of a line within 0.15 m, as it stands
     for all points around it; else it takes the label of its nearest point.
     """
     nearest = cKDTree(raw).query(points)[1]

@@ -32,7 +32,6 @@ def scale_invariant(width: int = 64, num_neighbours: int = 20) -> NetworkSetting
         scale_invariant=True,
         context=False,
         heights=False,
-        drop_ground=False,
     )
 
 

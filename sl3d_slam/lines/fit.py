@@ -11,7 +11,7 @@ RANGE_NOISE_M = 0.02
 GATE = 2.6
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def fit_upright(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Fit ``xy = base + slope (z - base_z)`` robustly, leaning towards the vertical.
@@ -40,7 +40,7 @@ def fit_upright(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return base, slope
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _weighted_mean(points: np.ndarray, weights: np.ndarray) -> np.ndarray:
     total = np.zeros(3)
@@ -52,7 +52,7 @@ def _weighted_mean(points: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return total / mass
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def axis_behind(
     front: np.ndarray, slope: np.ndarray, returns: np.ndarray

@@ -11,8 +11,9 @@ def voxel_means(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Average the points of each occupied voxel, ordered by voxel.
 
-    Returns the means (V, 3), how many points each stands for (V,), the points in range sorted by
-    voxel (P, 3) and where each voxel's points start in them (V + 1,).
+    ``points`` (N, 3 or more) are x, y, z and anything behind, which is averaged, too. Returns the
+    means (V, C), how many points each stands for (V,), the points in range sorted by voxel (P, C)
+    and where each voxel's points start in them (V + 1,).
     """
     keys, voxel_of, count = _voxels(points, voxel_m, min_range_m, max_range_m)
     order = np.argsort(keys)  # numpy's is several times faster than a compiled one
@@ -64,19 +65,20 @@ def _sorted_by_voxel(
     for position in range(len(order)):
         rank[order[position]] = position
         start[position + 1] = start[position] + count[order[position]]
-    members = np.empty((start[-1], 3))
+    columns = points.shape[1]
+    members = np.empty((start[-1], columns))
     filled = start[:-1].copy()
-    means = np.zeros((len(count), 3))
+    means = np.zeros((len(count), columns))
     for i in range(len(points)):
         if voxel_of[i] < 0:
             continue
         voxel = rank[voxel_of[i]]
-        for axis in range(3):
+        for axis in range(columns):
             members[filled[voxel], axis] = points[i, axis]
             means[voxel, axis] += points[i, axis]
         filled[voxel] += 1
     for voxel in range(len(count)):
-        for axis in range(3):
+        for axis in range(columns):
             means[voxel, axis] /= start[voxel + 1] - start[voxel]
     return means, start[1:] - start[:-1], members, start
 

@@ -1,6 +1,7 @@
 """Lines of one scan with the network: it ranks and describes what is proposed, and adds to it."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
 
 import numpy as np
@@ -33,10 +34,14 @@ def learned_lines(points_lidar: Points, settings: LineSettings, network: Network
     along each and the fit's score, which count alike, and by their mean descriptor.
     """
     scene = make_scene(points_lidar, settings)
-    points = network_points(points_lidar, network.settings, up=scene.R_level_lidar[2])
-    points[:, :3] = points[:, :3] @ scene.R_level_lidar.T.astype(np.float32)
-    inference = network.infer(points)
-    uprights, kinds, members = _candidates(scene, points, inference.probability, settings)
+    points = network_points(scene, network.settings)
+    with ThreadPoolExecutor(1) as beside:  # both are compiled for the most part
+        proposing = beside.submit(find_uprights, scene, settings)
+        inference = network.infer(points)
+    proposed = proposing.result()
+    uprights, kinds, members = _candidates(
+        scene, points, inference.probability, proposed, settings.min_length_m
+    )
     endpoints = _segments(uprights)
     fits = np.array([upright.score for upright in uprights])
     scores = np.sqrt(fits * _mean_probability(members, inference.probability))
@@ -56,10 +61,11 @@ def _candidates(
     scene: Scene,
     points: Float32[np.ndarray, "M 4"],
     probability: Float32[np.ndarray, "M"],
-    settings: LineSettings,
+    by_geometry: tuple[list[Upright], list[LineKind]],
+    min_length_m: float,
 ) -> tuple[list[Upright], list[LineKind], list[Int64[np.ndarray, "_"]]]:
     """Return geometry's lines, those grown from points that none of them explains, their points."""
-    uprights, kinds = find_uprights(scene, settings)
+    uprights, kinds = by_geometry
     proposed = _segments(uprights)
     tree = cKDTree(points[:, :2])
     members = points_along(proposed, points, tree)
@@ -67,7 +73,7 @@ def _candidates(
     for rows in members:
         unexplained[rows] = 0.0
     taken = proposed.mean(axis=1)[:, :2]
-    grown = grow_uprights(scene, points, unexplained, settings.min_length_m, taken)
+    grown = grow_uprights(scene, points, unexplained, min_length_m, taken)
     added = [upright for upright, _ in grown]
     members += points_along(_segments(added), points, tree)
     return [*uprights, *added], [*kinds, *(kind for _, kind in grown)], members

@@ -7,7 +7,7 @@ a thin upright sheet (a wall), and is it part of a narrow column with nothing ar
 from typing import no_type_check
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 CELL_M = 0.25
 CORE_RADIUS_M = 0.35
@@ -20,7 +20,7 @@ MAX_RING_BINS = 3
 FAST = {"contract", "nsz", "nnan", "reassoc"}  # sums in any order
 
 
-@njit(cache=True, parallel=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST)
 @no_type_check
 def local_structure(
     columns: np.ndarray, start: np.ndarray, half_width_m: float, half_height_m: np.ndarray
@@ -35,7 +35,7 @@ def local_structure(
     """
     count = columns.shape[1]
     result = np.zeros((count, 6))
-    for i in prange(count):
+    for i in range(count):
         high = half_height_m[i]
         moments, core = _sheet_moments(columns, start, half_width_m, (i, high))
         n, mx, my = moments[0], moments[1] / moments[0], moments[2] / moments[0]
@@ -53,7 +53,7 @@ def local_structure(
     return result
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _popcount(mask: int) -> int:
     count = 0
@@ -63,7 +63,7 @@ def _popcount(mask: int) -> int:
     return count
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST)
 @no_type_check
 def _sheet_moments(
     columns: np.ndarray, start: np.ndarray, half_width_m: float, query: tuple[int, float]
@@ -94,7 +94,7 @@ def _sheet_moments(
     return (n, sx, sy, sxx, syy, sxy), (mask, core_x / core_n, core_y / core_n)
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST)
 @no_type_check
 def _column_bins(
     columns: np.ndarray,

@@ -12,7 +12,7 @@ MAX_END_SPREAD_M = 0.12
 END_BAND_M = 0.35
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def fit_plane(plan: np.ndarray) -> tuple[np.ndarray, float]:
     """Fit a line seen from above to points (N, 2) with weights that ignore what stands off it.
@@ -43,7 +43,7 @@ def fit_plane(plan: np.ndarray) -> tuple[np.ndarray, float]:
     return normal, offset
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def connected_on_plane(
     points: np.ndarray,
@@ -79,7 +79,7 @@ def connected_on_plane(
     return rows[first:stop], positions[first:stop]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def straight_end(z: np.ndarray, outward: np.ndarray) -> np.ndarray:
     """Return which points at an end most slices of height agree on; none where they do not.
@@ -106,7 +106,7 @@ def straight_end(z: np.ndarray, outward: np.ndarray) -> np.ndarray:
     return kept[:count]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def most_alike(normals: np.ndarray, candidates: np.ndarray, min_cosine: float) -> np.ndarray:
     """Return the candidates that face as that one does which most of them face like.
@@ -131,7 +131,7 @@ def most_alike(normals: np.ndarray, candidates: np.ndarray, min_cosine: float) -
     return alike
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def meeting_of_walls(
     normals: np.ndarray, plan: np.ndarray, min_voxels: int, min_sine: float

@@ -23,6 +23,7 @@ from sl3d_slam.bench.lines_truth import (
     open_truth,
     visible_lines,
 )
+from sl3d_slam.config import LineSettings
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import from_yaw, invert
 from sl3d_slam.simulation.primitives import Semantic
@@ -326,13 +327,14 @@ def test_every_stage_is_there_and_put_back(rng):
     from sl3d_slam.lines import geometric
     from sl3d_slam.lines.extract import LineExtractor
 
+    settings = LineSettings(method="geometric")
     before, watch = geometric.find_poles, Stopwatch()
     points = room(20.0, elevations_deg=(-20.0, 2.0))[::3]
     with watch.watching(STAGES["learned"]):
         assert geometric.find_poles is not before
     with watch.watching(STAGES["geometric"]):
         start_s = time.process_time()
-        LineExtractor().extract(points + rng.normal(0.0, 0.01, points.shape))
+        LineExtractor(settings).extract(points + rng.normal(0.0, 0.01, points.shape))
         taken_s = time.process_time() - start_s
     assert geometric.find_poles is before
     assert {"scene", "poles", "edges", "describing"} <= set(watch.taken_s)

@@ -110,7 +110,7 @@ def test_shipped_weights_know_lines_whatever_the_heading_and_small_tilt(turn):
 def test_shipped_weights_say_where_lines_are():
     scan = sweep(np.random.default_rng(4))
     network = Network(extract.SHIPPED_WEIGHTS)
-    points = network_points(scan, network.settings)
+    points = network_points(make_scene(scan, LineSettings()), network.settings)
     probability = network.infer(points).probability
     beside = [np.linalg.norm(points[:, :2] - place, axis=1) for place in (POLE, CORNER)]
     assert probability[beside[0] < 0.25].mean() > 0.7
@@ -132,7 +132,8 @@ def test_empty_scans_give_no_lines(extractor):
 
 def test_model_names_the_weights(extractor, weights):
     assert extractor.model == f"superline3d-{model_hash(weights)}"
-    assert LineExtractor().model == "geometric"
+    assert LineExtractor(LineSettings(method="geometric")).model == "geometric"
+    assert LineExtractor().model == LineExtractor.pretrained().model
 
 
 def test_malformed_points_and_weights_are_refused(extractor, tmp_path):

@@ -5,6 +5,7 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
+from sl3d_slam.config import LineSettings
 from sl3d_slam.lines.network.edgeconv import EdgeConv
 from sl3d_slam.lines.network.feature_space import nearest_in_features
 from sl3d_slam.lines.network.gather import gather_max
@@ -13,6 +14,7 @@ from sl3d_slam.lines.network.neighbours import skip_neighbours
 from sl3d_slam.lines.network.offsets import edge_inputs
 from sl3d_slam.lines.network.sample import network_points
 from sl3d_slam.lines.network.settings import NetworkSettings
+from sl3d_slam.lines.scene import make_scene
 
 SMALL = NetworkSettings(width=16, descriptor_dim=8, num_neighbours=8, stride=2)
 
@@ -218,22 +220,24 @@ def test_network_points_are_voxel_means_above_ground(rng):
     pole = np.c_[rng.normal([8.0, 3.0], 0.03, (400, 2)), rng.uniform(-1.7, 2.3, 400)]
     scan = np.vstack([ground, pole])
     settings = NetworkSettings()
-    points = network_points(scan, settings)
+    points = network_points(make_scene(scan, LineSettings()), settings)
     assert points.dtype == np.float32
     assert np.abs(points[:, :2] - [8.0, 3.0]).max() < 0.15
+    assert 4.0 / 0.3 - 2 <= len(points) < 4 * 4.0 / 0.3  # a voxel or, at its borders, up to four
     # the ground is at -1.7 and its height is known to a centimetre or two
     np.testing.assert_allclose(points[:, 3], points[:, 2] + 1.7, atol=0.05)
-    shuffled = network_points(scan[rng.permutation(len(scan))], settings)
+    again = make_scene(scan[rng.permutation(len(scan))], LineSettings())
+    shuffled = network_points(again, settings)
     np.testing.assert_allclose(shuffled, points, atol=1e-4)
-    near = network_points(scan, settings.model_copy(update={"drop_ground": False}), max_points=500)
+    near = network_points(again, settings, max_points=5)
     reach = np.linalg.norm(near[:, :3], axis=1)
-    everything = network_points(scan, settings.model_copy(update={"drop_ground": False}))
-    assert len(near) == 500
-    assert reach.max() <= np.sort(np.linalg.norm(everything[:, :3], axis=1))[499] + 1e-6
+    assert len(near) == 5
+    assert reach.max() <= np.sort(np.linalg.norm(points[:, :3], axis=1))[4] + 1e-6
 
 
 def test_a_scan_without_structure_is_an_empty_sample():
-    assert network_points(np.full((100, 3), 500.0), NetworkSettings()).shape == (0, 4)
+    nothing = make_scene(np.full((100, 3), 500.0), LineSettings())
+    assert network_points(nothing, NetworkSettings()).shape == (0, 4)
 
 
 @pytest.mark.parametrize("k", [1, 2, 3, 4, 5, 7, 8, 11])

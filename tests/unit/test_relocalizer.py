@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sl3d_slam.config import MapSettings, SlamConfig
+from sl3d_slam.config import LineSettings, MapSettings, SlamConfig
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import (
     exp,
@@ -18,6 +18,7 @@ from sl3d_slam.relocalization.map_finder import confidence
 from sl3d_slam.relocalization.relocalizer import Relocalizer
 from sl3d_slam.types import LineSet
 
+GEOMETRIC = SlamConfig(lines=LineSettings(method="geometric"))
 TILT = exp(np.array([0.05, -0.08, 0.0, 0.0, 0.0, 0.0]))
 
 
@@ -95,14 +96,14 @@ def test_only_landmarks_that_keyframes_nearby_saw_belong_to_a_place(poses, landm
 
 def test_a_map_without_cloud_or_landmarks_is_refused(poses, landmarks):
     with pytest.raises(InputError, match=r"map\.clouds"):
-        Relocalizer(build(poses, landmarks, clouds=False))
+        Relocalizer(build(poses, landmarks, clouds=False), GEOMETRIC)
     with pytest.raises(InputError, match="no landmarks"):
-        Relocalizer(build(poses, np.zeros((0, 2))))
+        Relocalizer(build(poses, np.zeros((0, 2))), GEOMETRIC)
 
 
 def test_a_scan_without_standing_lines_is_a_no(poses, landmarks, rng):
     flat = np.c_[rng.uniform(-30, 30, (5000, 2)), np.full(5000, -1.7)]
-    answer = Relocalizer(build(poses, landmarks), SlamConfig()).relocalize(flat)
+    answer = Relocalizer(build(poses, landmarks), GEOMETRIC).relocalize(flat)
     assert not answer.success
     assert answer.T_map_lidar is None
     assert "0 standing lines" in answer.reason
@@ -112,7 +113,7 @@ def test_a_scan_without_standing_lines_is_a_no(poses, landmarks, rng):
     "points", [np.zeros((10, 3)), np.full((200, 3), np.nan), np.zeros((99, 2))]
 )
 def test_what_is_no_scan_is_refused(poses, landmarks, points):
-    relocalizer = Relocalizer(build(poses, landmarks))
+    relocalizer = Relocalizer(build(poses, landmarks), GEOMETRIC)
     with pytest.raises(InputError, match="points_lidar"):
         relocalizer.relocalize(points)
 

@@ -6,13 +6,13 @@ The same numbers as :mod:`sl3d_slam.lines.network.edgeconv` and ``context`` to f
 from typing import no_type_check
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from sl3d_slam.lines.network.products import FAST, PIECE, TILE, four_products, write_normed
 from sl3d_slam.lines.network.shapes import HIDDEN
 
 
-@njit(cache=True, parallel=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST)
 @no_type_check
 def offset_block(
     inputs: np.ndarray,
@@ -26,7 +26,7 @@ def offset_block(
     ``first`` is its hidden layer, ``second`` the layer behind that; both packed.
     """
     count, k = inputs.shape[:2]
-    for piece in prange((count + PIECE - 1) // PIECE):
+    for piece in range((count + PIECE - 1) // PIECE):
         hidden, sums = np.empty((k, HIDDEN), np.float32), np.empty((4, TILE), np.float32)
         row = np.empty(len(second[1]), np.float32)
         for i in range(piece * PIECE, min((piece + 1) * PIECE, count)):
@@ -38,7 +38,7 @@ def offset_block(
             write_normed(row, norm, result[i], 0)
 
 
-@njit(cache=True, fastmath=FAST, inline="always")
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
 @no_type_check
 def _hidden_layer(
     edges: np.ndarray, layer: tuple[np.ndarray, np.ndarray], hidden: np.ndarray, sums: np.ndarray
@@ -51,7 +51,7 @@ def _hidden_layer(
                 hidden[j + r, h] = max(sums[r, h] + bias[h], np.float32(0.0))
 
 
-@njit(cache=True, fastmath=FAST, inline="always")
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
 @no_type_check
 def _largest_products(
     hidden: np.ndarray, weight: np.ndarray, sums: np.ndarray, largest: np.ndarray
@@ -66,7 +66,7 @@ def _largest_products(
             largest[c] = max(max(value, sums[2, c]), sums[3, c])
 
 
-@njit(cache=True, parallel=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST)
 @no_type_check
 def edge_block(
     products: np.ndarray,
@@ -80,7 +80,7 @@ def edge_block(
     ``products`` (M, 2 W) are ``(W1 - W2) x_i`` and ``W2 x_i``, each filled up to whole tiles.
     """
     count, width = len(neighbours), products.shape[1] // 2
-    for piece in prange((count + PIECE - 1) // PIECE):
+    for piece in range((count + PIECE - 1) // PIECE):
         row = np.empty(width, np.float32)
         for i in range(piece * PIECE, min((piece + 1) * PIECE, count)):
             _largest_rows(products, neighbours[i], row)
@@ -89,7 +89,7 @@ def edge_block(
             write_normed(row, norm, result[i], column)
 
 
-@njit(cache=True, fastmath=FAST, inline="always")
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
 @no_type_check
 def _largest_rows(products: np.ndarray, neighbours: np.ndarray, largest: np.ndarray) -> None:
     """Write the largest of the second halves of the neighbours' products to ``largest``."""
@@ -109,7 +109,7 @@ def _largest_rows(products: np.ndarray, neighbours: np.ndarray, largest: np.ndar
             largest[c] = max(value, products[n3, width + c])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def cell_maxima(
     features: np.ndarray, width: int, cell_of: np.ndarray, num_cells: int
@@ -123,17 +123,23 @@ def cell_maxima(
     return pooled
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST)
 @no_type_check
 def heard_of_cells(
-    products: np.ndarray, neighbours: np.ndarray, gaps: np.ndarray, gap_weight: np.ndarray
+    own: np.ndarray,
+    told: tuple[np.ndarray, int],
+    neighbours: np.ndarray,
+    gaps: np.ndarray,
+    gap_weight: np.ndarray,
 ) -> np.ndarray:
     """Return per cell the largest of what its neighbours tell it: CellConv before its mixing.
 
-    ``products`` (K, 2 W) are what a cell is and what it tells; ``gap_weight`` (2, D).
+    ``own`` (K, W or more) is what a cell is; ``told`` what the neighbours tell, (T, W) from a
+    column on; ``gap_weight`` (2, D).
     """
     count, k = neighbours.shape
-    width, behind = gap_weight.shape[1], products.shape[1] // 2
+    words, column = told
+    width = gap_weight.shape[1]
     result = np.empty((count, width), np.float32)
     largest = np.empty(width, np.float32)
     for i in range(count):
@@ -142,24 +148,24 @@ def heard_of_cells(
         for j in range(k):
             n, across, up = neighbours[i, j], gaps[i, j, 0], gaps[i, j, 1]
             for c in range(width):
-                told = products[n, behind + c] + across * gap_weight[0, c] + up * gap_weight[1, c]
-                largest[c] = max(largest[c], told)
+                word = words[n, column + c] + across * gap_weight[0, c] + up * gap_weight[1, c]
+                largest[c] = max(largest[c], word)
         for c in range(width):
-            result[i, c] = max(largest[c] + products[i, c], np.float32(0.0))
+            result[i, c] = max(largest[c] + own[i, c], np.float32(0.0))
     return result
 
 
-@njit(cache=True, parallel=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST)
 @no_type_check
 def normed(rows: np.ndarray, norm: np.ndarray) -> np.ndarray:
     """Return ``relu(LayerNorm(rows))`` (N, D); what rows hold beyond D does not count."""
     result = np.empty((len(rows), norm.shape[1]), np.float32)
-    for i in prange(len(rows)):
+    for i in range(len(rows)):
         write_normed(rows[i], norm, result[i], 0)
     return result
 
 
-@njit(cache=True, parallel=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST)
 @no_type_check
 def line_probability(
     own: np.ndarray,
@@ -175,7 +181,7 @@ def line_probability(
     """
     weight, bias = contrast
     probability = np.empty(len(own), np.float32)
-    for i in prange(len(own)):
+    for i in range(len(own)):
         cell = cell_of[i]
         logit = np.float32(0.0)
         for c in range(len(weight)):

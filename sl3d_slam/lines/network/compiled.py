@@ -1,7 +1,7 @@
 """The network for reading only, in compiled numpy: no torch to load, and half its time.
 
-The same numbers as :class:`~sl3d_slam.lines.network.model.SuperLine3D` to float32's rounding; the
-same to the bit whatever the number of threads.
+The same numbers as :class:`~sl3d_slam.lines.network.model.SuperLine3D` to float32's rounding, by
+one thread that holds no lock of Python's: several scans go side by side.
 """
 
 from functools import partial
@@ -44,15 +44,19 @@ class CompiledModel:
         joined = 3 * settings.width
         head, bias = tensors["segmentation.0.weight"], tensors["segmentation.0.bias"]
         self._read = _Layer(np.ascontiguousarray(head[:, :joined]), bias)
-        self._told = _Layer(head[:, joined:], np.zeros_like(bias))
+        self._told = _Layer(head[:, joined:])
         if settings.context:  # what cells pool and what the head reads, in one product
             self._read = self._layer("context.lift", self._read)
         classes, logits = tensors["segmentation.2.weight"], tensors["segmentation.2.bias"]
         self._contrast = classes[LINE] - classes[1 - LINE], float(logits[LINE] - logits[1 - LINE])
         self._blocks = [self._joint_layer(f"blocks.{b}") for b in (1, 2)]
-        exchanges = range(EXCHANGES if settings.context else 0)
-        self._exchanges = [self._joint_layer(f"context.exchanges.{e}", True) for e in exchanges]
-        self._mixes = [self._layer(f"context.exchanges.{e}.mix") for e in exchanges]
+        exchanges = [f"exchanges.{e}" for e in range(EXCHANGES)]
+        listeners = [*exchanges, "outlook"] if settings.context else []
+        self._exchanges = [self._joint_layer(f"context.{e}", True) for e in listeners[:-1]]
+        self._mixes = {f"context.{name}": self._layer(f"context.{name}.mix") for name in listeners}
+        if settings.context:
+            edge = tensors["context.outlook.edge.weight"]
+            self._outlook = self._layer("context.outlook.centre"), _Layer(edge)
         self._offsets = [self._layer(f"blocks.0.{part}") for part in ("first", "second")]
         self._descriptor = [self._layer(f"descriptor.{part}") for part in (0, 2)]
 
@@ -102,13 +106,26 @@ class CompiledModel:
     def _wide(self, lifted: Float32[np.ndarray, "M _"], cells: Cells) -> np.ndarray:
         """Return what each cell has learned of the surroundings (K, W)."""
         pooled = cell_maxima(lifted, self._settings.width, cells.cell_of, len(cells.gaps[0]))
-        for number, (neighbours, gaps) in enumerate(zip(cells.neighbours, cells.gaps, strict=True)):
-            name = f"context.exchanges.{number}"
-            gap_weight = self._tensors[f"{name}.gap.weight"].T.copy()
+        for number, near in enumerate(zip(cells.neighbours, cells.gaps, strict=True)):
             products = self._exchanges[number](pooled)
-            heard = heard_of_cells(products, neighbours, gaps, gap_weight)
-            pooled = pooled + normed(self._mixes[number](heard), self._norm(f"{name}.norm"))
-        return pooled
+            told = products, products.shape[1] // 2
+            pooled = pooled + self._heard(f"context.exchanges.{number}", products, told, near)
+        squares = cell_maxima(pooled, self._settings.width, cells.square_of, cells.num_squares)
+        own, told = self._outlook[0](pooled), (self._outlook[1](squares), 0)
+        near = cells.squares, cells.square_gaps
+        return pooled + self._heard("context.outlook", own, told, near)
+
+    def _heard(
+        self,
+        name: str,
+        own: np.ndarray,
+        told: tuple[np.ndarray, int],
+        near: tuple[np.ndarray, np.ndarray],
+    ) -> np.ndarray:
+        """Return what a CellConv adds to cells (K, W)."""
+        gap_weight = self._tensors[f"{name}.gap.weight"].T.copy()
+        heard = heard_of_cells(own, told, *near, gap_weight)
+        return normed(self._mixes[name](heard), self._norm(f"{name}.norm"))
 
     def _layer(self, name: str, second: "_Layer | None" = None) -> "_Layer":
         return _Layer(self._tensors[f"{name}.weight"], self._tensors[f"{name}.bias"], second)
@@ -118,7 +135,7 @@ class CompiledModel:
         centre, edge = self._tensors[f"{name}.centre.weight"], self._tensors[f"{name}.edge.weight"]
         bias = self._tensors[f"{name}.centre.bias"]
         own = centre if plain else centre - edge
-        return _Layer(own, bias, _Layer(edge, np.zeros_like(bias)))
+        return _Layer(own, bias, _Layer(edge))
 
     def _norm(self, name: str) -> Float32[np.ndarray, "2 W"]:
         return np.stack([self._tensors[f"{name}.weight"], self._tensors[f"{name}.bias"]])
@@ -130,9 +147,10 @@ class _Layer:
     def __init__(
         self,
         weight: Float32[np.ndarray, "D C"],
-        bias: Float32[np.ndarray, "D"],
+        bias: Float32[np.ndarray, "D"] | None = None,
         second: "_Layer | None" = None,
     ) -> None:
+        bias = np.zeros(len(weight), np.float32) if bias is None else bias
         tiles, filled = packed(weight, bias)
         if second is not None:
             tiles = np.concatenate([tiles, second.packed[0]])

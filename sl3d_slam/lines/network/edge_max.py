@@ -51,7 +51,7 @@ class _EdgeMax(torch.autograd.Function):
         return to_hidden, to_weight, None
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _find_largest(edges: np.ndarray, largest: np.ndarray, winner: np.ndarray, k: int) -> None:
     for i in range(len(largest)):
@@ -66,7 +66,7 @@ def _find_largest(edges: np.ndarray, largest: np.ndarray, winner: np.ndarray, k:
                 winner[i, c] = np.uint8(j) if better else winner[i, c]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True)
 @no_type_check
 def _spread(
     found: tuple[np.ndarray, np.ndarray],

@@ -6,6 +6,7 @@ from torch import Tensor, nn
 
 from sl3d_slam.lines.network.edge_max import edge_max
 from sl3d_slam.lines.network.gather import gather_max
+from sl3d_slam.lines.network.shapes import HIDDEN
 
 PIECE = 128
 
@@ -49,10 +50,10 @@ class OffsetConv(nn.Module):
     It never sees a position, only offsets, so moving the whole cloud changes nothing.
     """
 
-    def __init__(self, channels_in: int, channels_out: int, hidden: int = 32) -> None:
+    def __init__(self, channels_in: int, channels_out: int) -> None:
         super().__init__()
-        self.first = nn.Linear(channels_in, hidden)
-        self.second = nn.Linear(hidden, channels_out)
+        self.first = nn.Linear(channels_in, HIDDEN)
+        self.second = nn.Linear(HIDDEN, channels_out)
         self.norm = nn.LayerNorm(channels_out)
 
     def forward(self, offsets: Float32[Tensor, "M k C"]) -> Float32[Tensor, "M D"]:

@@ -3,7 +3,7 @@
 from typing import no_type_check
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 PIECE = 256
 INDEX_BITS = 24
@@ -15,7 +15,7 @@ BUCKETS = 1 << BUCKET_BITS
 BUCKET_SHIFT = INDEX_BITS + LEVEL_BITS - BUCKET_BITS
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def nearest_of_ranks(
     columns: np.ndarray, order: np.ndarray, start: np.ndarray, shape: np.ndarray, ranks: np.ndarray
@@ -29,7 +29,7 @@ def nearest_of_ranks(
     count = len(order)
     found = np.empty((count, len(ranks)), np.int64)
     pieces = (count + PIECE - 1) // PIECE
-    for piece in prange(pieces):
+    for piece in range(pieces):
         squared = np.empty(count)
         keys, ranked = np.empty(count, np.int64), np.empty(count, np.int64)
         begin = np.empty(BUCKETS + 2, np.int64)
@@ -43,7 +43,7 @@ def nearest_of_ranks(
     return found
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _candidates(
     columns: np.ndarray,
@@ -76,7 +76,7 @@ def _candidates(
         reach = reach + 1 if reach < 4 else 2 * reach
 
 
-@njit(cache=True, fastmath={"contract"})
+@njit(cache=True, nogil=True, fastmath={"contract"})
 @no_type_check
 def _squared_distances(
     columns: np.ndarray, place: int, span: tuple[int, int], squared: np.ndarray
@@ -87,7 +87,7 @@ def _squared_distances(
         squared[other - span[0]] = dx * dx + dy * dy + dz * dz
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _nearest_first(keys: np.ndarray, needed: int, ranked: np.ndarray, begin: np.ndarray) -> None:
     """Write at least the ``needed`` smallest keys, ascending, to the front of ``ranked``."""
@@ -112,7 +112,7 @@ def _nearest_first(keys: np.ndarray, needed: int, ranked: np.ndarray, begin: np.
         ranked[hole] = key
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _inner_reach(point: np.ndarray, cell: tuple[int, int], shape: np.ndarray, reach: int) -> float:
     """Return the distance within which columns up to ``reach`` away hold all points, or inf."""

@@ -4,7 +4,7 @@ from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float32
-from numba import njit, prange
+from numba import njit
 
 from sl3d_slam.lines.network.settings import NetworkSettings
 
@@ -40,7 +40,7 @@ def scale_free(offsets: Float32[np.ndarray, "M k 3"]) -> Float32[np.ndarray, "M 
     return np.concatenate([ratio, shares - ratio], axis=2).astype(np.float32)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _write_offsets(
     points: np.ndarray, neighbours: np.ndarray, own_axes: bool, edges: np.ndarray
@@ -51,7 +51,7 @@ def _write_offsets(
     the side that their mean lies on, so that they turn with the cloud.
     """
     count, k = neighbours.shape
-    for i in prange(count):
+    for i in range(count):
         for j in range(k):
             for axis in range(3):
                 edges[i, j, axis] = points[neighbours[i, j], axis] - points[i, axis]
@@ -59,7 +59,7 @@ def _write_offsets(
             _turn(edges[i])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _turn(offsets: np.ndarray) -> None:
     mx = my = xx = yy = xy = 0.0

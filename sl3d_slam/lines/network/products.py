@@ -1,7 +1,6 @@
 """Products of points' features with weights, a tile of 64 columns at a time; compiled.
 
-A product's rows depend on no other row and on no number of threads, so the answer is the same to
-the bit however the work is shared. Four rows and two columns of the features at a time keep the
+Four rows and two columns of the features at a time keep the
 processor's units busy (measured: twice the speed of a row at a time).
 """
 
@@ -9,7 +8,7 @@ from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float32
-from numba import njit, prange
+from numba import njit
 
 TILE = 64
 PIECE = 64
@@ -30,7 +29,7 @@ def packed(
     return np.ascontiguousarray(tiled), filled
 
 
-@njit(cache=True, parallel=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST)
 @no_type_check
 def linear(
     features: np.ndarray, column: int, layer: tuple[np.ndarray, np.ndarray], result: np.ndarray
@@ -41,7 +40,7 @@ def linear(
     """
     count = len(features)
     weight, bias = layer
-    for piece in prange((count + PIECE - 1) // PIECE):
+    for piece in range((count + PIECE - 1) // PIECE):
         sums = np.empty((4, TILE), np.float32)
         for tile in range(len(weight)):  # one stays in the processor's first cache
             for begin in range(piece * PIECE, min((piece + 1) * PIECE, count), 4):
@@ -52,7 +51,7 @@ def linear(
                         result[begin + r, place] = sums[r, c] + bias[place]
 
 
-@njit(cache=True, fastmath=FAST, inline="always")
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
 @no_type_check
 def four_products(
     rows: np.ndarray, corner: tuple[int, int], weight: np.ndarray, sums: np.ndarray
@@ -86,7 +85,7 @@ def four_products(
             sums[3, c] += rows[r3, column + h] * weight[h, c]
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST)
 @no_type_check
 def write_normed(row: np.ndarray, norm: np.ndarray, result: np.ndarray, column: int) -> None:
     """Write ``relu(LayerNorm(row))`` to ``result`` from a column on; ``norm`` (2, D) as learned."""

@@ -17,21 +17,18 @@ class NetworkSettings(Settings):
     ``axes`` are those that neighbours' offsets are expressed in: the sensor's, or horizontal ones
     that each neighbourhood defines itself, which makes the network blind to the heading.
     ``scale_invariant`` is the first layer of the paper's synthetic stage (Eq. 1 and 3).
-    ``context`` joins a wide view, cells of 2 m, to the heads. ``drop_ground`` leaves out what lies
-    within 0.2 m of the ground, half of a street's points and none of its standing lines.
-    ``heights`` tells the first block how high a point is above the ground; not with
-    ``scale_invariant``.
+    ``context`` joins a wide view, cells of 2 m and squares of 8 m, to the heads. ``heights`` tells
+    the first block how high a point is above the ground; not with ``scale_invariant``.
     """
 
     width: int = Field(default=64, ge=4, le=256)
     descriptor_dim: int = Field(default=64, ge=2, le=256)
-    num_neighbours: int = Field(default=20, ge=2, le=64)
+    num_neighbours: int = Field(default=16, ge=2, le=64)
     stride: int = Field(default=4, ge=1, le=16)
     neighbours: Literal["space", "features"] = "space"
     axes: Literal["sensor", "own"] = "own"
     scale_invariant: bool = False
     context: bool = True
-    drop_ground: bool = True
     heights: bool = True
-    voxel_size_m: float = Field(default=0.25, gt=0)
+    voxel_size_m: float = Field(default=0.3, gt=0)
     max_points: int = Field(default=20_000, ge=50)

@@ -15,7 +15,7 @@ from sl3d_slam.errors import InputError
 from sl3d_slam.lines.network.settings import NetworkSettings
 from sl3d_slam.lines.network.shapes import expected_shapes
 
-FORMAT = "sl3d_slam line network 1"
+FORMAT = "sl3d_slam line network 2"
 MAX_BYTES = 2_000_000
 EXPECTED = "expected weights written by sl3d train"
 
