@@ -17,7 +17,6 @@ from contextlib import contextmanager
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
-import numba
 import numpy as np
 
 from sl3d_slam.config import SlamConfig
@@ -183,7 +182,6 @@ def _begin(config: SlamConfig) -> None:
     global _bench
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    numba.set_num_threads(1)
     _bench = _Bench(config)
 
 

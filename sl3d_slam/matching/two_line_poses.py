@@ -3,10 +3,9 @@
 from typing import no_type_check
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 RASTER_CELL_M = 0.5
-BATCH = 256  # poses
 
 
 @njit(cache=True, nogil=True)
@@ -85,7 +84,7 @@ def rasterise(target_xy: np.ndarray, radius_m: float) -> tuple[np.ndarray, np.nd
     return raster, corner
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def score_poses(  # noqa: PLR0913
     poses: np.ndarray,
@@ -102,22 +101,21 @@ def score_poses(  # noqa: PLR0913
     target, reach = (target_xy - corner) / RASTER_CELL_M, (RASTER_CELL_M / radius_m) ** 2
     rows, columns = np.int32(raster.shape[0]), np.int32(raster.shape[1])
     nearest = raster.ravel()
-    for batch in prange((len(poses) + BATCH - 1) // BATCH):
-        cell = np.empty(len(x), np.int32)
-        for h in range(batch * BATCH, min((batch + 1) * BATCH, len(poses))):
-            cosine, sine = poses[h, 3], poses[h, 4]
-            at_u = (poses[h, 1] - corner[0]) / RASTER_CELL_M
-            at_v = (poses[h, 2] - corner[1]) / RASTER_CELL_M
-            for i in range(len(x)):  # on its own, so that it runs on several lines at once
-                row = np.int32(cosine * x[i] - sine * y[i] + at_u)
-                column = np.int32(sine * x[i] + cosine * y[i] + at_v)
-                row = max(np.int32(0), min(row, rows - np.int32(1)))
-                column = max(np.int32(0), min(column, columns - np.int32(1)))
-                cell[i] = row * columns + column
-            for i in range(len(x)):
-                k = nearest[cell[i]]
-                if k >= 0:
-                    u = cosine * x[i] - sine * y[i] + at_u - target[k, 0]
-                    v = sine * x[i] + cosine * y[i] + at_v - target[k, 1]
-                    scores[h] += weights[i, k] * max(1.0 - (u * u + v * v) * reach, 0.0)
+    cell = np.empty(len(x), np.int32)
+    for h in range(len(poses)):
+        cosine, sine = poses[h, 3], poses[h, 4]
+        at_u = (poses[h, 1] - corner[0]) / RASTER_CELL_M
+        at_v = (poses[h, 2] - corner[1]) / RASTER_CELL_M
+        for i in range(len(x)):  # on its own, so that it runs on several lines at once
+            row = np.int32(cosine * x[i] - sine * y[i] + at_u)
+            column = np.int32(sine * x[i] + cosine * y[i] + at_v)
+            row = max(np.int32(0), min(row, rows - np.int32(1)))
+            column = max(np.int32(0), min(column, columns - np.int32(1)))
+            cell[i] = row * columns + column
+        for i in range(len(x)):
+            k = nearest[cell[i]]
+            if k >= 0:
+                u = cosine * x[i] - sine * y[i] + at_u - target[k, 0]
+                v = sine * x[i] + cosine * y[i] + at_v - target[k, 1]
+                scores[h] += weights[i, k] * max(1.0 - (u * u + v * v) * reach, 0.0)
     return scores

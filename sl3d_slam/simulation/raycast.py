@@ -4,7 +4,7 @@
 from typing import NamedTuple, no_type_check
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from sl3d_slam.simulation.intersect import (
     GLASS,
@@ -124,13 +124,16 @@ def look_up(scene, o, d, key, high):
     return t, shine, cosine, 0.0, label, line_of(scene, item, o, d, t)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def cast(scene, beams, T, seed, out):
-    """Cast every ray; ``out`` (R, 4) gets range (nan: no return), intensity, label, line id."""
+def cast(scene, beams, T, seed, start, stop, out):  # noqa: PLR0913
+    """Cast the rays from ``start`` to before ``stop``, whose rows of ``out`` (R, 4) it fills.
+
+    A row gets range (nan: no return), intensity, label and line id; other rows stay as they are.
+    """
     low, high, sigma, lost, threshold = beams.numbers
     root = mix(seed)
-    for ray in prange(beams.directions.shape[0]):
+    for ray in range(start, stop):
         key = mix(root + np.uint64(ray))
         a, b, c = beams.directions[ray, 0], beams.directions[ray, 1], beams.directions[ray, 2]
         d = (

@@ -1,9 +1,12 @@
 """A town on one day, arranged for ray casting, and the cast itself."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float32, Int64, UInt8
+from numba import config
 
 from sl3d_slam.geometry.se3 import Points, Transform
 from sl3d_slam.simulation.cells import cells_of
@@ -112,7 +115,11 @@ def cast_scan(
         ]
     )
     out = np.empty((len(directions), 4))
-    cast(scene.arrays, Beams(directions, numbers), T_town_lidar, np.uint64(key), out)
+    given = scene.arrays, Beams(directions, numbers), T_town_lidar, np.uint64(key)
+    workers = config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+    parts = pairwise(np.linspace(0, len(directions), 4 * workers + 1).astype(np.int64))
+    with ThreadPoolExecutor(workers) as threads:
+        list(threads.map(lambda part: cast(*given, *part, out), parts))
     seen = np.isfinite(out[:, 0])
     out = out[seen]
     points = directions[seen] * out[:, :1]

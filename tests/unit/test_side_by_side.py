@@ -1,10 +1,13 @@
 """Two sides at once: nobody waits for the other, and the answer is that of one after the other."""
 
+import re
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import sl3d_slam
 from sl3d_slam.config import MatchingSettings
 from sl3d_slam.geometry.se3 import from_yaw, transform_points
 from sl3d_slam.lines.extract import LineExtractor
@@ -48,3 +51,9 @@ def test_a_pair_side_by_side_is_the_pair_one_after_the_other(ring_drive):
     assert alone.success
     np.testing.assert_array_equal(alone.T_target_source, beside.T_target_source)
     np.testing.assert_array_equal(alone.information, beside.information)
+
+
+def test_no_kernel_runs_on_the_threads_of_numba():
+    # its plainest threading layer aborts the process where two Python threads enter such kernels
+    for path in Path(sl3d_slam.__file__).parent.rglob("*.py"):
+        assert not re.search(r"\bparallel=|\bprange\b", path.read_text()), path

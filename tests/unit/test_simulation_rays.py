@@ -150,21 +150,17 @@ def test_foliage_stops_rays_after_the_depth_that_its_density_says():
     assert inside.mean() == pytest.approx(0.5, abs=4 * 0.5 / np.sqrt(len(inside)))
 
 
-def test_the_number_of_threads_changes_nothing():
+def test_the_number_of_threads_changes_nothing(monkeypatch):
     builder = SceneBuilder()
     builder.ellipsoid((8.0, 1.0, 0.0), (2.0, 3.0, 2.0), Material(Semantic.VEGETATION, 0.5, 1.5))
     builder.box((20.0, 0.0, 0.0), 0.3, (1.0, 9.0, 5.0), WALL)
     scene = build_scene(flat_ground(), [builder.primitives()])
     tilted = make_transform(from_yaw(0.4, np.zeros(3))[:3, :3], np.array([1.0, 2.0, 0.0]))
     sensor = Sensor("noisy", np.radians([-8.0, -2.0, 0.0, 4.0]), 1000)
-    before = numba.get_num_threads()
     scans = []
-    try:
-        for threads in {1, numba.config.NUMBA_NUM_THREADS}:
-            numba.set_num_threads(threads)
-            scans.append(cast_scan(scene, tilted, sensor, 3, 11))
-    finally:
-        numba.set_num_threads(before)
+    for threads in (1, 2, 7):
+        monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", threads)
+        scans.append(cast_scan(scene, tilted, sensor, 3, 11))
     for scan in scans[1:]:
         np.testing.assert_array_equal(scan.points_lidar, scans[0].points_lidar)
         np.testing.assert_array_equal(scan.intensities, scans[0].intensities)
