@@ -9,6 +9,8 @@ import numpy as np
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.geometry.se3 import Points
 from sl3d_slam.lines.extract import LineExtractor
+from sl3d_slam.lines.grown import grow_uprights
+from sl3d_slam.lines.scene import make_scene
 from sl3d_slam.loops.constellations import ConstellationIndex
 from sl3d_slam.loops.triangle_table import must_compile
 from sl3d_slam.matching.views import pack, to_bytes
@@ -20,8 +22,10 @@ SPACING_M = 0.2
 
 
 def rehearse_keyframes(extractor: LineExtractor, config: SlamConfig) -> None:
-    """Make a view and verify a loop between it and itself."""
-    packed = to_bytes(pack(view_of(street_corner(), extractor, config)))
+    """Make a view and verify a loop between it and itself, whatever the weights call a line."""
+    points_lidar = street_corner()
+    _grow_lines(points_lidar, config)
+    packed = to_bytes(pack(view_of(points_lidar, extractor, config)))
     verify(Candidates(1, [(0, (0.0, 0.0, 0.0))], None, {0: packed, 1: packed}), config)
 
 
@@ -32,6 +36,14 @@ def rehearse_constellations() -> bool:
     index.add(0, xy, weights)
     index.query(xy, weights, 0, 1)
     return first_time
+
+
+def _grow_lines(points_lidar: Points, config: SlamConfig) -> None:
+    """Grow lines as after a network that is sure of all that stands: poles, walls, a corner."""
+    scene = make_scene(points_lidar, config.lines)
+    points = np.column_stack([scene.points, scene.heights]).astype(np.float32)
+    sure = np.ones(len(points), np.float32)
+    grow_uprights(scene, points, sure, config.lines.min_length_m)
 
 
 def street_corner() -> Points:
