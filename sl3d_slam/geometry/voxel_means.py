@@ -1,4 +1,4 @@
-"""One mean point for each voxel that a cloud touches, compiled."""
+"""One point for each voxel that a cloud touches, the mean or the first; compiled."""
 
 from typing import no_type_check
 
@@ -21,27 +21,72 @@ def voxel_means(points: Points, voxel_m: float, max_range_m: float) -> Float64[n
     return means[np.argsort(keys)]
 
 
+def first_in_voxels(points: Points, voxel_m: float) -> Float64[np.ndarray, "V 3"]:
+    """Return the first point in each voxel, in the order in which points come."""
+    return points[_firsts(points, voxel_m)]
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _key(x: float, y: float, z: float, voxel_m: float) -> int:
+    """Return a number that tells voxels apart, in the order of x, then y, then z."""
+    ix = np.int64(np.floor(x / voxel_m)) + HALF_RANGE
+    iy = np.int64(np.floor(y / voxel_m)) + HALF_RANGE
+    iz = np.int64(np.floor(z / voxel_m)) + HALF_RANGE
+    return (ix << 42) | (iy << 21) | iz
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _new_table(num_points: int) -> np.ndarray:
+    size = 1
+    while size < 2 * num_points:
+        size *= 2
+    return np.full(size, -1, np.int32)
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _slot(table: np.ndarray, keys: np.ndarray, key: int) -> int:
+    """Return where a key is in the table, or where it belongs."""
+    slot = (key * MULTIPLIER >> 20) & (len(table) - 1)
+    while table[slot] >= 0 and keys[table[slot]] != key:
+        slot = (slot + 1) & (len(table) - 1)
+    return slot
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _firsts(points: np.ndarray, voxel_m: float) -> np.ndarray:
+    """Return the index of the first point in each voxel."""
+    table = _new_table(len(points))
+    keys, firsts = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
+    voxels, last = 0, -1
+    for i in range(len(points)):
+        key = _key(points[i, 0], points[i, 1], points[i, 2], voxel_m)
+        if key == last:  # the next point of a beam, most often
+            continue
+        last = key
+        slot = _slot(table, keys, key)
+        if table[slot] < 0:
+            table[slot], keys[voxels], firsts[voxels] = voxels, key, i
+            voxels += 1
+    return firsts[:voxels]
+
+
 @njit(cache=True, nogil=True)
 @no_type_check
 def _means(points: np.ndarray, voxel_m: float, max_range_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Return a key and the mean of each voxel, in the order in which points touch them."""
-    size = 1
-    while size < 2 * len(points):
-        size *= 2
-    table = np.full(size, -1, np.int32)
+    table = _new_table(len(points))
     keys, sums = np.empty(len(points), np.int64), np.empty((len(points), 4))
     voxels = 0
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         if not x * x + y * y + z * z < max_range_m * max_range_m:
             continue
-        ix = np.int64(np.floor(x / voxel_m)) + HALF_RANGE
-        iy = np.int64(np.floor(y / voxel_m)) + HALF_RANGE
-        iz = np.int64(np.floor(z / voxel_m)) + HALF_RANGE
-        key = (ix << 42) | (iy << 21) | iz
-        slot = (key * MULTIPLIER >> 20) & (size - 1)
-        while table[slot] >= 0 and keys[table[slot]] != key:
-            slot = (slot + 1) & (size - 1)
+        key = _key(x, y, z, voxel_m)
+        slot = _slot(table, keys, key)
         if table[slot] < 0:
             table[slot], keys[voxels] = voxels, key
             sums[voxels] = 0.0

@@ -18,7 +18,6 @@ from kiss_icp.mapping import get_voxel_hash_map
 from kiss_icp.preprocess import get_preprocessor
 from kiss_icp.registration import Registration, get_registration
 from kiss_icp.threshold import get_threshold_estimator
-from kiss_icp.voxelization import voxel_down_sample
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -32,9 +31,11 @@ from sl3d_slam.geometry.se3 import (
     rotation_angle_rad,
     transform_points,
 )
+from sl3d_slam.geometry.voxel_means import first_in_voxels
 from sl3d_slam.odometry.kiss_settings import kiss_config, with_step
 from sl3d_slam.odometry.noise import Matrix6, pose_covariance
 from sl3d_slam.odometry.starts import mean_gap_m, start_positions
+from sl3d_slam.odometry.surfaces import surfaces_of
 from sl3d_slam.types import RegisteredScan, Scan
 
 TRANSLATION_GRID_M = 1e-5
@@ -43,8 +44,6 @@ COARSE_STEP_M = 0.02
 COARSE_SOURCE_VOXELS = 2.0
 SOURCE_VOXELS = 1.5
 SURFACE_VOXEL_M = 1.0
-SURFACE_SAMPLING_M = 0.5
-SURFACE_NEIGHBOURS = 10
 SURFACE_MEMORY_SCANS = 150
 SETTLED_M = 0.2  # surfaces that move a pose by more were led to the wrong place
 SETTLED_RAD = np.radians(1.0)
@@ -83,8 +82,8 @@ class Odometry:
         points = self._preprocessor.preprocess(
             scan.points_lidar, _usable_times(scan), self._T_last_next
         )
-        map_points = voxel_down_sample(points, 0.5 * self._voxel_size_m)
-        surfaces = _surfaces_of(map_points) if self._refines else None
+        map_points = first_in_voxels(points, 0.5 * self._voxel_size_m)
+        surfaces = surfaces_of(map_points) if self._refines else None
         guess = self._T_odom_last @ self._T_last_next
         self._covariance = None
         T_odom_lidar = self._find_pose(map_points, surfaces, guess) if T_known is None else T_known
@@ -108,12 +107,12 @@ class Odometry:
         surfaces have far to go or do not settle (1 scan in 150), and a full alignment leads them.
         """
         if self._first_points is None and self._can_refine(surfaces):
-            source = voxel_down_sample(map_points, COARSE_SOURCE_VOXELS * self._voxel_size_m)
+            source = first_in_voxels(map_points, COARSE_SOURCE_VOXELS * self._voxel_size_m)
             T_odom_led = self._align_within(self._coarse, source, guess)
             T_odom_lidar, settled = self._refine(surfaces, T_odom_led)
             if settled:
                 return _on_grid(T_odom_lidar)
-        source = voxel_down_sample(map_points, SOURCE_VOXELS * self._voxel_size_m)
+        source = first_in_voxels(map_points, SOURCE_VOXELS * self._voxel_size_m)
         if self._first_points is None:
             return self._align(source, surfaces, guess)
         first = cKDTree(self._first_points)
@@ -179,14 +178,6 @@ class Odometry:
             if gap_m < START_GAIN * best_gap_m:
                 best, best_gap_m = T_odom_lidar, gap_m
         return best
-
-
-def _surfaces_of(points: Points) -> small_gicp.PointCloud:
-    """Sample a scan to half a metre, each point with the covariance of its surroundings."""
-    sampled, _ = small_gicp.preprocess_points(
-        points, SURFACE_SAMPLING_M, num_neighbors=SURFACE_NEIGHBOURS, num_threads=1
-    )
-    return sampled
 
 
 def _usable_times(scan: Scan) -> Float64[np.ndarray, "M"]:
