@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from sl3d_slam.errors import ConfigError
 
 MAX_CONFIG_BYTES = 1_000_000
+THRESHOLDS = {"min_log_odds", "min_inliers", "min_overlap"}  # those of a match that uses differ in
 
 
 class Settings(BaseModel):
@@ -62,7 +63,11 @@ class LineSettings(Settings):
 
 
 class MatchingSettings(Settings):
-    """How two line sets are brought together and the answer judged."""
+    """How two line sets are brought together and the answer judged.
+
+    ``min_log_odds`` and ``min_overlap`` are those of two scans, where every pose was compared with
+    its rivals; loops and saved maps have their own.
+    """
 
     distance_tolerance_m: float = Field(default=0.4, gt=0)
     angle_tolerance_deg: float = Field(default=6.0, gt=0)
@@ -70,8 +75,8 @@ class MatchingSettings(Settings):
     min_inliers: int = Field(default=4, ge=2)
     max_hypotheses: int = Field(default=3000, ge=1)
     cloud_voxel_m: float = Field(default=0.5, gt=0)
-    min_overlap: float = Field(default=0.1, gt=0, le=1)
-    min_log_odds: float = 2.0
+    min_overlap: float = Field(default=0.08, gt=0, le=1)
+    min_log_odds: float = 1.5
     min_agreeing_points: int = Field(default=600, ge=1)
 
 
@@ -85,6 +90,12 @@ class LoopSettings(Settings):
     min_field_agreement: float = Field(default=0.5, ge=-2, le=2)
     nearby_m: float = Field(default=12.0, gt=0)
     max_distance_m: float = Field(default=60.0, gt=0)
+    min_log_odds: float = 2.0
+    min_overlap: float = Field(default=0.1, gt=0, le=1)
+
+    def judging(self, matching: MatchingSettings) -> MatchingSettings:
+        """Return settings of a match with the thresholds of a loop."""
+        return matching.model_copy(update=self.model_dump(include=THRESHOLDS))
 
 
 class GraphSettings(Settings):
@@ -146,6 +157,11 @@ class RelocalizationSettings(Settings):
 
     min_log_odds: float = -3.0
     min_inliers: int = Field(default=5, ge=2)
+    min_overlap: float = Field(default=0.1, gt=0, le=1)
+
+    def judging(self, matching: MatchingSettings) -> MatchingSettings:
+        """Return settings of a match with the thresholds of a map's place."""
+        return matching.model_copy(update=self.model_dump(include=THRESHOLDS))
 
 
 class SlamConfig(Settings):

@@ -71,7 +71,8 @@ def _answer(
     evidence = gather_evidence(query, target, T_guess, config.matching)
     if evidence is None:
         return Rejection(*pair, "a scan has too few points to verify a loop with", T_guess)
-    reason, num_inliers = objection(evidence, config.matching), len(evidence.matches)
+    needed = config.loops.judging(config.matching)
+    reason, num_inliers = objection(evidence, needed), len(evidence.matches)
     if reason:
         return Rejection(*pair, reason, evidence.T_target_source, num_inliers)
     return LoopConstraint(*pair, evidence.T_target_source, evidence.information, num_inliers)

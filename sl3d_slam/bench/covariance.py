@@ -122,13 +122,13 @@ def loop_errors(
     """Return each believed loop's error at the query, and its normalised square."""
     rng = np.random.default_rng(what.seed)
     pairs = _pairs(sorted(views), truth, what)
+    needed = what.config.loops.judging(what.config.matching)
     errors, squared = np.zeros((0, 6)), []
     for target, query in rng.permutation(pairs)[: what.num_pairs].tolist():
         T_target_query = invert(truth[target]) @ truth[query]
         guess = T_target_query @ exp(GUESS_SIGMAS * rng.standard_normal(6))
-        settings = what.config.matching
-        evidence = gather_evidence(views[query], views[target], guess, settings)
-        if evidence is None or objection(evidence, settings):
+        evidence = gather_evidence(views[query], views[target], guess, what.config.matching)
+        if evidence is None or objection(evidence, needed):
             continue
         error = log(invert(T_target_query) @ evidence.T_target_source)
         errors = np.vstack([errors, error])

@@ -10,10 +10,12 @@ from jaxtyping import Float32, Float64, Int64
 
 from sl3d_slam.matching.two_line_poses import match_pairs, rasterise, score_poses
 from sl3d_slam.matching.verticals import Verticals
+from sl3d_slam.side_by_side import side_by_side
 
 MIN_BASELINE_M = 3.0
 MAX_BASELINE_M = 80.0
 LOOKED_AT = 4  # poses, for each that is kept
+MANY_POSES = 20_000  # take milliseconds, more than it costs to share them out
 
 PlanarPoses = Float64[np.ndarray, "H 3"]  # yaw_rad, x_m, y_m of T_target_source, levelled frames
 
@@ -46,16 +48,15 @@ def enumerate_poses(
     )
     raster, corner = rasterise(target.xy, inlier_distance_m)
     weights = np.sqrt(source.weights[:, None] * target.weights[None, :])
-    scores = score_poses(
-        poses,
-        source.xy,
-        target.xy,
-        (similarity(source, target) * weights).astype(np.float32),
-        raster,
-        corner,
-        inlier_distance_m,
-    )
-    return poses[:, :3], scores
+    weights = (similarity(source, target) * weights).astype(np.float32)
+
+    def score(some: np.ndarray) -> np.ndarray:
+        return score_poses(some, source.xy, target.xy, weights, raster, corner, inlier_distance_m)
+
+    if len(poses) < MANY_POSES:
+        return poses[:, :3], score(poses)
+    halves = np.array_split(poses, 2)
+    return poses[:, :3], np.concatenate(side_by_side(score, *halves))
 
 
 def thin_poses(

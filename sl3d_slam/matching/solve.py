@@ -14,10 +14,13 @@ from sl3d_slam.types import LineSet
 REJECT_M = 1.0
 ROBUST_M = 0.2
 LINE_SIGMA_M = 0.1
+UP_SIGMA_RAD = np.radians(1.0)  # of two views; slopes that differ and leaning lines included
 ITERATIONS = 12
 FREE_SHARE = 1e-3
 FILL_UNITS = np.repeat([0.05, 1.0], 3)  # a turn and a shift that move things 20 m away alike
 FILL_SHARE = 1e-9
+
+Up = Float64[np.ndarray, "3"]  # a unit vector
 
 
 def refine_on_lines(
@@ -25,10 +28,12 @@ def refine_on_lines(
     target: LineSet,
     matches: Int64[np.ndarray, "M 2"],
     T_target_source: Transform,
+    ups: tuple[Up, Up] | None = None,
 ) -> tuple[Transform, Float64[np.ndarray, "6 6"]]:
     """Minimise robust point-to-line distances; directions that no line fixes stay as they are.
 
-    Upright poles leave the height free; their lengths tell roll and pitch, if weakly. A direction
+    Upright poles leave the height free; their lengths tell roll and pitch, if weakly: ``ups``, the
+    way up in the source and in the target, hold those, within what slopes allow. A direction
     counts as free where a move along it (a turn by its lever: the points' mean range) shifts the
     lines by less than a thirtieth of what it does in the best-held direction.
 
@@ -42,7 +47,8 @@ def refine_on_lines(
     units = _comparable_units(points)
     for _ in range(ITERATIONS):
         H, gradient = _normal_equations(T, points, origins, axes)
-        step = -_solve_where_fixed(H, gradient, units)
+        held, pull = _pull_upright(T, ups)
+        step = -_solve_where_fixed(H + held, gradient + pull, units)
         T = T @ exp(step)
         if np.linalg.norm(step) < 1e-6:
             break
@@ -107,6 +113,17 @@ def _normal_equations(
     across = moves - axes[:, :, None] * (axes[:, None] @ moves)
     J = (root[:, :, None] * across).reshape(-1, 6)
     return J.T @ J, J.T @ (root * residual).ravel()
+
+
+def _pull_upright(T: Transform, ups: tuple[Up, Up] | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return the normal equations of two ways up that should agree."""
+    H, gradient = np.zeros((6, 6)), np.zeros(6)
+    if ups is not None:
+        weight = (LINE_SIGMA_M / UP_SIGMA_RAD) ** 2
+        across = np.eye(3) - np.outer(ups[0], ups[0])
+        H[:3, :3] = weight * across
+        gradient[:3] = weight * across @ np.cross(T[:3, :3].T @ ups[1], ups[0])
+    return H, gradient
 
 
 def _comparable_units(points: np.ndarray) -> np.ndarray:

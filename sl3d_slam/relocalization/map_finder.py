@@ -69,8 +69,7 @@ class MapFinder:
         if len(line_map) == 0 or line_map.cloud is None:
             raise InputError("the map has no landmarks or no cloud; map again with map.clouds true")
         self._matching = config.matching
-        needed = config.relocalization.model_dump()
-        self._judging = config.matching.model_copy(update=needed)
+        self._judging = config.relocalization.judging(config.matching)
         self._prepared: dict[int, _Place] = {}
         self.places = Places(line_map)
         self.retrieval = MapRetrieval(self.places, config.matching)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sl3d_slam.config import MatchingSettings
+from sl3d_slam.config import LoopSettings, MatchingSettings
 from sl3d_slam.geometry.se3 import from_yaw, invert, make_transform, rotation_between
 from sl3d_slam.matching.judge import Evidence, matched_lines, objection, refusal, to_registration
 from sl3d_slam.matching.prepared import PreparedView, flatten, lift
@@ -39,7 +39,7 @@ def test_good_evidence_is_not_objected_to_and_becomes_an_answer():
     [
         ({"correction_m": 4.1}, "refinement left the guess by 4.1 m"),
         ({"correction_rad": np.radians(11.0)}, "refinement left the guess"),
-        ({"overlap": 0.09}, "9% of the clouds overlap"),
+        ({"overlap": 0.07}, "7% of the clouds overlap"),
         ({"seen": Visibility(3000, 300)}, "sees through 9%"),
         ({"seen": Visibility(0, 0)}, "sees through"),
         ({"seen": Visibility(599, 0)}, "only 599 points agree"),
@@ -55,6 +55,14 @@ def test_each_weakness_is_named_and_leaves_no_pose(change, word):
     assert result.T_target_source is None
     assert not result.information.any()
     assert result.reason == reason
+
+
+def test_a_loop_whose_pose_had_no_rivals_needs_more_than_a_pair_does():
+    unsure = replace(GOOD, overlap=0.09)
+    assert objection(unsure, SETTINGS) == ""
+    needed = LoopSettings().judging(SETTINGS)
+    assert "9% of the clouds overlap" in objection(unsure, needed)
+    assert needed.inlier_distance_m == SETTINGS.inlier_distance_m
 
 
 def test_a_refusal_has_a_reason_and_nothing_else():

@@ -54,18 +54,20 @@ def test_lines_alone_find_a_known_pose_and_show_that_the_height_is_free(rng):
     assert np.linalg.matrix_rank(result.information) == 5
 
 
-def test_evenly_spaced_lamps_are_refused():
-    lamps = np.column_stack([np.arange(8) * 10.0, np.zeros(8)])
+@pytest.mark.parametrize("num_lamps", [5, 8, 9, 12, 20])
+def test_evenly_spaced_lamps_are_refused(num_lamps):
+    lamps = np.column_stack([np.arange(num_lamps) * 10.0, np.zeros(num_lamps)])
     result = register_lines(poles(lamps), poles(lamps))
     assert not result.success
     assert result.T_target_source is None
     assert "another place" in result.reason
 
 
-def test_odds_of_lines_alone_rise_with_lines_and_fall_with_a_rival():
-    assert lines_log_odds(8, 0.5) > lines_log_odds(5, 0.5)
-    assert lines_log_odds(8, 0.5) > lines_log_odds(8, 0.9)
-    assert np.isfinite(lines_log_odds(0, 1.0))
+def test_odds_of_lines_alone_rise_with_lines_and_fall_with_their_gaps_and_a_rival():
+    assert lines_log_odds(8, 0.1, 0.5) > lines_log_odds(5, 0.1, 0.5)
+    assert lines_log_odds(8, 0.1, 0.5) > lines_log_odds(8, 0.2, 0.5)
+    assert lines_log_odds(8, 0.1, 0.5) > lines_log_odds(8, 0.1, 0.9)
+    assert np.isfinite(lines_log_odds(0, np.inf, 1.0))
 
 
 def test_lines_of_two_places_get_no_pose(rng):

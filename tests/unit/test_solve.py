@@ -142,6 +142,27 @@ def test_without_matches_nothing_moves_and_nothing_is_known(rng):
     assert not information.any()
 
 
+def test_ways_up_keep_a_few_short_lines_from_tipping_a_pose(rng):
+    xy = rng.uniform(-4.0, 4.0, (5, 1, 2))
+    target = np.concatenate([np.tile(xy, (1, 2, 1)), np.tile([[[-1.0], [1.0]]], (5, 1, 1))], axis=2)
+    leaning = target + np.array([[-0.075, 0.0, 0.0], [0.075, 0.0, 0.0]])  # each by 4.3 degrees
+    source = line_set(transform_points(invert(T_TRUE), leaning.reshape(-1, 3)).reshape(-1, 2, 3))
+    up_target = np.array([0.0, 0.0, 1.0])
+    ups = T_TRUE[:3, :3].T @ up_target, up_target
+
+    def tipped_deg(T):
+        return np.degrees(np.arccos((T[:3, :3] @ ups[0]) @ up_target))
+
+    free, of_lines = refine_on_lines(source, line_set(target), pairs(5), T_TRUE @ NUDGE)
+    held, information = refine_on_lines(source, line_set(target), pairs(5), T_TRUE @ NUDGE, ups)
+    assert tipped_deg(free) > 3.0
+    assert tipped_deg(held) < 1.0
+    shift = (held @ invert(T_TRUE))[:2, 3]
+    assert np.linalg.norm(shift) < 0.2
+    # what is known of the pose is still only what the lines say
+    np.testing.assert_allclose(information, of_lines, rtol=0.2, atol=0.05 * of_lines.max())
+
+
 def test_line_distance_ignores_where_along_the_line():
     target = line_set(np.array([[[0.0, 0, 0], [0, 0, 2.0]]]))
     source = line_set(np.array([[[0.3, 0.4, 50.0], [0.0, 0.0, -9.0]]]))
