@@ -7,44 +7,23 @@ while they work: threads would only take turns.
 
 import multiprocessing
 import os
-import signal
-import threading
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from sl3d_slam import worker
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import Sl3dError
 from sl3d_slam.geometry.se3 import Points
-from sl3d_slam.lines.extract import LineExtractor
-from sl3d_slam.matching.views import pack, to_bytes
-from sl3d_slam.rehearsal import rehearse_keyframes
-from sl3d_slam.types import LoopConstraint, Rejection
-from sl3d_slam.verifying import Candidates, verify
-from sl3d_slam.viewing import view_of
+from sl3d_slam.verifying import Candidates
+from sl3d_slam.worker import Made, Verified, Workbench
 
 T = TypeVar("T")
-
-
-class Made(NamedTuple):
-    """A packed view as bytes, the seconds it took, and the model that found its lines."""
-
-    packed: bytes
-    seconds: float
-    model: str
-
-
-class Verified(NamedTuple):
-    """What became of a keyframe's candidates, and the seconds it took."""
-
-    outcomes: list[LoopConstraint | Rejection]
-    seconds: float
+SPAWN = multiprocessing.get_context("spawn")
 
 
 def spare_processors() -> int:
@@ -62,40 +41,51 @@ class Beside:
 
     def __init__(self, config: SlamConfig, workers: int = 0) -> None:
         self.workers = workers
-        self._here = _Bench(config)
+        self._here = Workbench(config)
         self._begun: list[Future[Any]] = []
         self._rehearsal: Future[None] | None = None
         self._pool: ProcessPoolExecutor | None = None
-        if workers > 0:
-            spawn = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(workers, spawn, _begin, (config,))
-            self._rehearsal = self._begin(_rehearse)
+        self._config = config
 
     @property
     def is_ready(self) -> bool:
         """Whether nothing is left to be loaded or compiled before the work begins."""
         return self._rehearsal is not None and self._rehearsal.done()
 
-    def get_ready(self) -> None:
-        """Load and compile what the work needs, or wait for the workers that do so."""
-        if self._rehearsal is None:
+    def compile(self) -> None:
+        """Compile all that a run needs, in a process that ends where there are workers.
+
+        A compiler keeps a quarter of a gigabyte of memory.
+        """
+        if self.workers > 0:
+            process = SPAWN.Process(target=worker.compile_all, args=(self._config,), daemon=True)
+            process.start()
+            process.join()
+
+    def start(self) -> None:
+        """Have the workers load what they need; without workers load it here."""
+        if self._rehearsal is not None:
+            return
+        if self.workers > 0:
+            self._pool = ProcessPoolExecutor(self.workers, SPAWN, worker.begin, (self._config,))
+            self._rehearsal = self._begin(worker.rehearse)
+        else:
             self._here.rehearse()
             self._rehearsal = _done(None)
-        result_of(self._rehearsal)
 
     def make_view(self, points_lidar: Points) -> "Future[Made]":
         """Begin a view; without workers it is done on return, and errors are raised here."""
         if self.workers > 0:
-            return self._begin(_make, _halved(points_lidar))
-        return _done(self._here.make(points_lidar))
+            return self._begin(worker.make_view, _halved(points_lidar))
+        return _done(self._here.make_view(points_lidar))
 
     def verify(self, candidates: Candidates) -> "Future[Verified]":
         """Begin to verify candidates; done on return without workers, or where they are behind."""
         if len(candidates) == 0:
             return _done(Verified([], 0.0))
-        self._begun = [future for future in self._begun if not future.done()]
-        if self.workers > 0 and len(self._begun) <= self.workers:
-            return self._begin(_verify, candidates)
+        behind = sum(not future.done() for future in self._begun) > self.workers
+        if self.workers > 0 and not behind:
+            return self._begin(worker.verify_candidates, candidates)
         return _done(self._here.verify(candidates))
 
     def close(self) -> None:
@@ -104,10 +94,12 @@ class Beside:
             self._pool.shutdown(cancel_futures=True)
 
     def _begin(self, work: Callable[..., T], *argument: Any) -> "Future[T]":
+        if self._pool is None:
+            self.start()
         assert self._pool is not None
         with _death_explained():
             begun = self._pool.submit(work, *argument)
-        self._begun.append(begun)
+        self._begun = [*(future for future in self._begun if not future.done()), begun]
         return begun
 
 
@@ -144,64 +136,3 @@ def _death_explained() -> Iterator[None]:
             "the process that finds lines and loops was killed, perhaps for want of memory; "
             "--workers 0 does without one"
         ) from None
-
-
-class _Bench:
-    """Where the work is done: settings and an extractor, which loads when it is first needed."""
-
-    def __init__(self, config: SlamConfig) -> None:
-        self._config = config
-
-    @cached_property
-    def extractor(self) -> LineExtractor:
-        """The line extractor of the settings."""
-        return LineExtractor(self._config.lines)
-
-    def rehearse(self) -> None:
-        """Do everything once, on a made-up scan."""
-        rehearse_keyframes(self.extractor, self._config)
-
-    def make(self, points_lidar: Points) -> Made:
-        """Make a packed view."""
-        start_s = time.perf_counter()
-        raw = to_bytes(pack(view_of(points_lidar, self.extractor, self._config)))
-        return Made(raw, time.perf_counter() - start_s, self.extractor.model)
-
-    def verify(self, candidates: Candidates) -> Verified:
-        """Verify candidates."""
-        start_s = time.perf_counter()
-        outcomes = verify(candidates, self._config)
-        return Verified(outcomes, time.perf_counter() - start_s)
-
-
-_bench: _Bench | None = None  # of a worker process
-
-
-def _begin(config: SlamConfig) -> None:
-    """Set up a worker process: Ctrl-C is its parent's business, and so is its life."""
-    global _bench
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    _bench = _Bench(config)
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
-
-
-def _rehearse() -> None:
-    assert _bench is not None
-    _bench.rehearse()
-
-
-def _make(points_lidar: np.ndarray) -> Made:
-    assert _bench is not None
-    return _bench.make(points_lidar.astype(np.float64))
-
-
-def _verify(candidates: Candidates) -> Verified:
-    assert _bench is not None
-    return _bench.verify(candidates)

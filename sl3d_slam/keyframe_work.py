@@ -8,16 +8,18 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from sl3d_slam.beside import Beside, Made, Verified, result_of
+from sl3d_slam.beside import Beside, result_of
 from sl3d_slam.closing import KeptClouds, LoopCloser
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.geometry.se3 import Transform
 from sl3d_slam.graph.pose_graph import PoseGraph
 from sl3d_slam.journal import Journal
+from sl3d_slam.loops.triangle_table import must_compile
 from sl3d_slam.mapping.line_map import LineMap, MapOrigin
 from sl3d_slam.rehearsal import rehearse_constellations
 from sl3d_slam.run import StageTimes
 from sl3d_slam.types import Keyframe, LoopConstraint, LoopRecord, Rejection
+from sl3d_slam.worker import Made, Verified
 
 # keyframes from a search to its effect, so that it may be done beside odometry: with two views in
 # the queue before it, it is over when the third one's is made
@@ -77,10 +79,11 @@ class KeyframeWork:
         return self._beside.is_ready
 
     def get_ready(self) -> None:
-        """Compile what a first run on a machine must compile, and wait for workers that do so."""
-        must_compile = rehearse_constellations()
-        if must_compile or self._beside.workers == 0:
-            self._beside.get_ready()
+        """Compile what a first run on a machine must compile, and load it."""
+        if must_compile():
+            self._beside.compile()
+        rehearse_constellations()
+        self._beside.start()
 
     def open(self, keyframe: Keyframe, scan_index: int) -> None:
         """Have the view of a keyframe made, where it is not kept from an interrupted run."""

@@ -12,7 +12,6 @@ from sl3d_slam.lines.extract import LineExtractor
 from sl3d_slam.lines.grown import grow_uprights
 from sl3d_slam.lines.scene import make_scene
 from sl3d_slam.loops.constellations import ConstellationIndex
-from sl3d_slam.loops.triangle_table import must_compile
 from sl3d_slam.matching.views import pack, to_bytes
 from sl3d_slam.verifying import Candidates, verify
 from sl3d_slam.viewing import view_of
@@ -29,13 +28,12 @@ def rehearse_keyframes(extractor: LineExtractor, config: SlamConfig) -> None:
     verify(Candidates(1, [(0, (0.0, 0.0, 0.0))], None, {0: packed, 1: packed}), config)
 
 
-def rehearse_constellations() -> bool:
-    """Recognise a constellation; tell whether that had to be compiled."""
-    first_time, index, xy = must_compile(), ConstellationIndex(), _poles_xy()
+def rehearse_constellations() -> None:
+    """Recognise a constellation."""
+    index, xy = ConstellationIndex(), _poles_xy()
     weights = np.ones(len(xy))
     index.add(0, xy, weights)
     index.query(xy, weights, 0, 1)
-    return first_time
 
 
 def _grow_lines(points_lidar: Points, config: SlamConfig) -> None:

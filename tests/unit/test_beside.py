@@ -1,5 +1,6 @@
 """Work done in another process is that done here; what goes wrong there is said here."""
 
+import multiprocessing
 import os
 import signal
 
@@ -83,4 +84,16 @@ def test_a_worker_that_is_killed_is_one_sentence():
         result_of(waiting)
     with pytest.raises(Sl3dError, match="--workers 0"):
         maker.make_view(np.ones((200, 3)))
+    maker.close()
+
+
+def test_what_compiles_ends_and_leaves_what_is_wrong_to_be_said_by_the_worker(capfd):
+    settings = load_config(None, ["lines.weights=nowhere.safetensors"])
+    maker = Beside(settings, workers=1)
+    others = set(multiprocessing.active_children())
+    maker.compile()
+    assert set(multiprocessing.active_children()) <= others
+    assert capfd.readouterr().err == ""
+    with pytest.raises(InputError, match="nowhere"):
+        result_of(maker.make_view(np.ones((200, 3))))
     maker.close()
