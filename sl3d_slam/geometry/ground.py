@@ -6,7 +6,7 @@ and filled in between.
 """
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 
 from sl3d_slam.geometry.ground_grid import (
     LOW_BAND_M,
@@ -49,7 +49,7 @@ def up_direction(points_lidar: Points) -> Float64[np.ndarray, "3"]:
         normal = plane_normal(lowest, scale_m)
         up = rotation_between(up, UP).T @ normal
         up /= np.linalg.norm(up)
-    if up[2] < np.cos(np.radians(MAX_TILT_DEG)):
+    if not up[2] >= np.cos(np.radians(MAX_TILT_DEG)):  # NaN where all ground lies on one line
         return UP.copy()
     return up
 
@@ -66,13 +66,6 @@ def heights_above_ground(
     if len(level) == 0:
         return np.zeros(0)
     return above_grid(level, _ground_grid(level), GRID_HALF_WIDTH_M, CELL_M)
-
-
-def ground_mask(
-    points_lidar: Points, up: Float64[np.ndarray, "3"], clearance_m: float = 0.25
-) -> Bool[np.ndarray, "N"]:
-    """Tell which points lie less than ``clearance_m`` above the local ground (or below it)."""
-    return heights_above_ground(points_lidar, up) < clearance_m
 
 
 def _lowest_per_cell(

@@ -12,7 +12,6 @@ from numba import njit
 
 from sl3d_slam.geometry.se3 import Points
 
-DIMENSION = 28
 CONTEXT_CELL_M = 0.5
 RING_EDGES_M = (1.0, 2.5, 5.0, 8.0, 12.0)
 HEIGHT_EDGES_M = (0.25, 1.0, 2.0, 3.5, 12.0)

@@ -11,7 +11,7 @@ from jaxtyping import Float64, Shaped
 from sl3d_slam.types import LineKind
 
 # Okabe and Ito's palette (jfly.uni-koeln.de/color), told apart with any colour vision.
-BLACK, GREY, FAINT = "#000000", "#8a8a8a", "#c8c8c8"
+BLACK, GREY = "#000000", "#8a8a8a"
 BLUE, SKY, GREEN = "#0072B2", "#56B4E9", "#009E73"
 ORANGE, VERMILION, PURPLE = "#E69F00", "#D55E00", "#CC79A7"
 

@@ -9,7 +9,6 @@ from sl3d_slam.types import LineKind
 
 STEEL = Material(Semantic.POLE, 0.45)
 PLATE = Material(Semantic.SIGN, 0.95)
-WOOD = Material(Semantic.POLE, 0.35)
 CABINET = Material(Semantic.OTHER_OBJECT, 0.4)
 UP = np.array([0.0, 0.0, 1.0])
 
