@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from sl3d_slam.run import Run
     from sl3d_slam.types import WorldMeasurements
 
-COMPILING = "sl3d: getting ready; the first run on a machine compiles for half a minute"
-
 
 def map_(
     data: DataArgument,
@@ -111,7 +109,7 @@ def run_map(opened: "Dataset", out: Path, mapping: Mapping) -> dict[str, Any]:
 def drive_through(opened: "Dataset", mapping: Mapping) -> "Run":
     """Take an opened dataset through the pipeline; say its warnings, show the progress."""
     from sl3d_slam.beside import spare_processors
-    from sl3d_slam.cli.progress import Meter, notice
+    from sl3d_slam.cli.progress import COMPILING, Meter, notice
     from sl3d_slam.pipeline import SlamPipeline
 
     for warning in opened.warnings:

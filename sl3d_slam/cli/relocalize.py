@@ -31,7 +31,7 @@ def relocalize(
 
     With --window N, the scans are a drive in order: odometry joins each N of them.
     """
-    from sl3d_slam.cli.progress import Meter
+    from sl3d_slam.cli.progress import COMPILING, Meter, notice
     from sl3d_slam.config import load_config
     from sl3d_slam.errors import InputError
     from sl3d_slam.io.open import read_scan
@@ -44,8 +44,12 @@ def relocalize(
         relocalizer = Relocalizer(loaded, settings)
     except InputError as error:
         raise InputError(f"{line_map}: {error}") from None
-    answers = []
-    with Meter(len(scans), quiet=quiet or json) as meter:
+    answers: list[tuple[list[Path], Relocalization]] = []
+    silent = quiet or json
+    with (
+        notice(COMPILING, lambda: not answers, silent),
+        Meter(len(scans), quiet=silent) as meter,
+    ):
         for start in range(0, len(scans), window):
             paths = scans[start : start + window]
             points = [read_scan(path, settings.input) for path in paths]

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from sl3d_slam.cli.options import QuietOption
 from sl3d_slam.errors import InputError
 
 
@@ -21,11 +22,10 @@ def simulate(
     scans: Annotated[int | None, typer.Option(min=1, help="At most so many scans.")] = None,
     sequence: Annotated[str, typer.Option(help="Number of the sequence.")] = "00",
     truth: Annotated[bool, typer.Option(help="Write true lines and labels too.")] = True,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No progress bar.")] = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Simulate a street drive in KITTI layout, with true poses and lines."""
-    from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
-
+    from sl3d_slam.cli.progress import Meter
     from sl3d_slam.simulation.drive import DIRECTIONS, plan_drive
     from sl3d_slam.simulation.roads import builtin_road, read_road
     from sl3d_slam.simulation.sensor import sensor_named
@@ -39,9 +39,7 @@ def simulate(
     sensor_named(sensor)
     chosen = builtin_road(road) if trajectory is None else read_road(trajectory)
     drive = plan_drive(build_town(chosen, seed), sensor, day, direction, scans)
-    columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, disable=quiet) as bar:
-        task = bar.add_task("simulating", total=len(drive))
-        folder = write_drive(drive, layout, lambda: bar.advance(task))
+    with Meter(len(drive), quiet=quiet) as meter:
+        folder = write_drive(drive, layout, meter.advance)
     if not quiet:
         typer.echo(f"{len(drive)} simulated scans in {folder}")
