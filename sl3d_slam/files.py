@@ -53,13 +53,9 @@ def prepare_run_folder(path: Path) -> Path:
     OutputError
         naming the folder and why it cannot be used.
     """
-    probe = path / f".probe.{secrets.token_hex(4)}.tmp"
     try:
         path.mkdir(parents=True, exist_ok=True)
-        try:
-            probe.write_bytes(b"probe")
-        finally:
-            probe.unlink(missing_ok=True)
+        _probe(path)
     except FileExistsError:
         raise OutputError(f"{path}: is a file; expected a folder for the results") from None
     except OSError as error:
@@ -67,6 +63,33 @@ def prepare_run_folder(path: Path) -> Path:
             f"{path}: cannot be used as the folder for the results because {why(error)}"
         ) from None
     return path
+
+
+def prove_writable(path: Path, suffixes: tuple[str, ...] = ()) -> None:
+    """Prove, before the work, that a file can be written; what is there already stays.
+
+    Raises
+    ------
+    OutputError
+        naming the file, where its name ends in none of the ``suffixes`` or why it cannot be there.
+    """
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise OutputError(f"{path}: expected a name that ends in {', '.join(suffixes)}")
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "")
+        _probe(path.parent)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written because {why(error)}") from None
+
+
+def _probe(folder: Path) -> None:
+    """Write a file in a folder and remove it again."""
+    probe = folder / f".probe.{secrets.token_hex(4)}.tmp"
+    try:
+        probe.write_bytes(b"probe")
+    finally:
+        probe.unlink(missing_ok=True)
 
 
 def why(error: OSError) -> str:

@@ -18,16 +18,13 @@ def export(
     quiet: QuietOption = False,
 ) -> None:
     """Write a line map as PLY edges, LAS points or GeoJSON, in local metres."""
-    from sl3d_slam.errors import OutputError
-    from sl3d_slam.files import write_whole
+    from sl3d_slam.files import prove_writable, write_whole
     from sl3d_slam.mapping.export import geojson_text, las_bytes, ply_bytes
     from sl3d_slam.mapping.line_map import LineMap
 
-    suffix = out.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise OutputError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
+    prove_writable(out, SUFFIXES)
     loaded = LineMap.load(line_map)
-    match suffix:
+    match out.suffix.lower():
         case ".ply":
             write_whole(out, ply_bytes(loaded))
         case ".las":

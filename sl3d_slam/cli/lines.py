@@ -30,17 +30,21 @@ def lines(
     quiet: QuietOption = False,
 ) -> None:
     """Find the poles and building edges of one scan."""
+    from sl3d_slam.cli.progress import COMPILING, notice
     from sl3d_slam.config import load_config
+    from sl3d_slam.files import prove_writable
     from sl3d_slam.io.open import read_scan
     from sl3d_slam.lines.extract import LineExtractor
 
-    _check_suffix(out)
+    if out is not None:
+        prove_writable(out, SUFFIXES)
     wanted = list(overrides or ())
     if weights is not None:
         wanted += ["lines.method=learned", f"lines.weights={weights}"]
     settings = load_config(config, wanted)
     points_lidar = read_scan(scan, settings.input)
-    found = LineExtractor(settings.lines).extract(points_lidar)
+    with notice(COMPILING, lambda: True, quiet or json):
+        found = LineExtractor(settings.lines).extract(points_lidar)
     if out is not None:
         _write(out, points_lidar, found, scan.name)
     if json:
@@ -49,13 +53,6 @@ def lines(
         typer.echo(dumps(_tree(found)))
     elif not quiet:
         typer.echo(_sentence(found) if out is None else f"{_sentence(found)} -> {out}")
-
-
-def _check_suffix(out: Path | None) -> None:
-    from sl3d_slam.errors import OutputError
-
-    if out is not None and out.suffix.lower() not in SUFFIXES:
-        raise OutputError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
 
 
 def _write(out: Path, points_lidar: "np.ndarray", found: "LineSet", name: str) -> None:

@@ -43,11 +43,14 @@ def loops(
     """Find the loops of a drive. Status 1 where there is none."""
     from sl3d_slam.cli.map import Mapping, drive_through
     from sl3d_slam.config import load_config
+    from sl3d_slam.files import prove_writable
     from sl3d_slam.io.json_files import write_json
     from sl3d_slam.io.open import open_dataset
     from sl3d_slam.run import loop_tree
 
     settings = load_config(config, overrides or ())
+    if out is not None:
+        prove_writable(out)
     opened = open_dataset(data, settings.input, dataset, sequence, topic)
     run = drive_through(opened, Mapping(settings, scans, quiet or json, workers))
     found = run.loops

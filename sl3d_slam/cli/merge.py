@@ -23,13 +23,13 @@ def merge(
     """Join two maps that share some street, in the frame of the first. Status 1 where none is."""
     from sl3d_slam.cli.progress import Meter
     from sl3d_slam.config import load_config
-    from sl3d_slam.errors import InputError, OutputError
+    from sl3d_slam.errors import InputError
+    from sl3d_slam.files import prove_writable
     from sl3d_slam.mapping.line_map import LineMap
     from sl3d_slam.relocalization.merging import merge_maps, places_to_ask
 
     settings = load_config(config, overrides or ())
-    if not out.parent.is_dir():
-        raise OutputError(f"{out}: its folder does not exist")
+    prove_writable(out)
     maps = LineMap.load(first), LineMap.load(second)
     try:
         with Meter(len(places_to_ask(maps[1])), "places", quiet or json) as meter:

@@ -1,11 +1,14 @@
 """``sl3d register``: where one scan is in the frame of another."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sl3d_slam.cli.options import ConfigOption, JsonOption, SetOption
+from sl3d_slam.cli.options import ConfigOption, JsonOption, QuietOption, SetOption
+
+if TYPE_CHECKING:
+    from sl3d_slam.types import Registration
 
 
 def register(
@@ -18,21 +21,24 @@ def register(
     json: JsonOption = False,
     config: ConfigOption = None,
     overrides: SetOption = None,
+    quiet: QuietOption = False,
 ) -> None:
     """Find T_target_source of two scans, no first guess. Status 1 where there is no answer."""
-    import numpy as np
-
+    from sl3d_slam.cli.progress import COMPILING, notice
     from sl3d_slam.config import load_config
-    from sl3d_slam.files import write_whole
+    from sl3d_slam.files import prove_writable, write_whole
     from sl3d_slam.io.open import read_scan
     from sl3d_slam.lines.extract import LineExtractor
     from sl3d_slam.registration import register_lines
     from sl3d_slam.side_by_side import side_by_side
 
     settings = load_config(config, overrides or ())
+    if out is not None:
+        prove_writable(out, (".png",))
     clouds = read_scan(source, settings.input), read_scan(target, settings.input)
-    found = side_by_side(LineExtractor(settings.lines).extract, *clouds)
-    result = register_lines(*found, None if lines_only else clouds, settings.matching)
+    with notice(COMPILING, lambda: True, quiet or json):
+        found = side_by_side(LineExtractor(settings.lines).extract, *clouds)
+        result = register_lines(*found, None if lines_only else clouds, settings.matching)
     if out is not None:
         from sl3d_slam.report.pictures import draw_registration
 
@@ -42,21 +48,30 @@ def register(
     if json:
         from json import dumps
 
-        T = result.T_target_source
-        tree = {
-            "success": result.success,
-            "T_target_source": None if T is None else T.tolist(),
-            "num_inliers": result.num_inliers,
-            "matches": result.matches.tolist(),
-            "information": result.information.tolist(),
-            "reason": result.reason,
-        }
-        typer.echo(dumps(tree))
-    elif result.T_target_source is None:
-        typer.echo(f"no answer: {result.reason}")
-    else:
-        with np.printoptions(precision=4, suppress=True):
-            typer.echo(f"{result.num_inliers} lines agree; T_target_source =")
-            typer.echo(str(result.T_target_source))
+        typer.echo(dumps(_tree(result)))
+    elif not quiet:
+        typer.echo(_sentence(result))
     if not result.success:
         raise typer.Exit(1)
+
+
+def _tree(result: "Registration") -> dict[str, Any]:
+    T_target_source = result.T_target_source
+    return {
+        "success": result.success,
+        "T_target_source": None if T_target_source is None else T_target_source.tolist(),
+        "num_inliers": result.num_inliers,
+        "matches": result.matches.tolist(),
+        "information": result.information.tolist(),
+        "reason": result.reason,
+    }
+
+
+def _sentence(result: "Registration") -> str:
+    import numpy as np
+
+    if result.T_target_source is None:
+        return f"no answer: {result.reason}"
+    with np.printoptions(precision=4, suppress=True):
+        pose = str(result.T_target_source)
+    return f"{result.num_inliers} lines agree; T_target_source =\n{pose}"

@@ -34,6 +34,7 @@ def label(
     Without --from a network is trained on synthetic shapes first, briefly.
     """
     from sl3d_slam.cli.progress import Meter
+    from sl3d_slam.files import prepare_run_folder
     from sl3d_slam.learning.adaptation import AdaptationSettings
     from sl3d_slam.learning.label_rounds import LabelRun, run_rounds
     from sl3d_slam.learning.labelling import LabelSettings, Source
@@ -41,6 +42,7 @@ def label(
 
     source = Source(str(data), sequence, dataset)
     source.open()
+    prepare_run_folder(out)
     run = LabelRun(
         source=source,
         weights=weights or _trained_on_shapes(out / "synthetic", quiet),

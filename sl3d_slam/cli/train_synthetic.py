@@ -31,12 +31,14 @@ def synthetic(
     Clips beside the shapes come from a simulated street unless scans are given.
     """
     from sl3d_slam.cli.progress import Meter
+    from sl3d_slam.files import prepare_run_folder
     from sl3d_slam.learning.synthetic_training import (
         SyntheticRun,
         scale_invariant,
         train_synthetic,
     )
 
+    prepare_run_folder(out)
     run = SyntheticRun(
         seed=seed,
         clouds=clouds,

@@ -26,12 +26,12 @@ def view(
     quiet: QuietOption = False,
 ) -> None:
     """Show landmarks, cloud, trajectory and loops in 3D (needs the view extra)."""
-    from sl3d_slam.errors import OutputError
+    from sl3d_slam.files import prove_writable
     from sl3d_slam.mapping.line_map import LineMap
     from sl3d_slam.report.viewer import show
 
-    if out is not None and out.suffix.lower() != SUFFIX:
-        raise OutputError(f"{out}: expected a name that ends in {SUFFIX}")
+    if out is not None:
+        prove_writable(out, (SUFFIX,))
     is_run = what.is_dir()
     loaded = LineMap.load(what / MAP_NAME if is_run else what)
     show(_scene(loaded), _street(what) if is_run else None, out)

@@ -37,7 +37,8 @@ def read_bytes(path: Path, expected: str) -> bytes:
     """Return the content of a regular, non-empty file of bounded size. Raises InputError."""
     try:
         if not path.is_file():
-            raise InputError(f"{path}: not found; expected {expected}")
+            found = "is a folder" if path.is_dir() else "not found"
+            raise InputError(f"{path}: {found}; expected {expected}")
         size = path.stat().st_size
         if size == 0:
             raise InputError(f"{path}: is empty; expected {expected}")

@@ -14,7 +14,8 @@ def read_text(path: Path, expected: str) -> str:
     """Return the text of a file; ``expected`` says in the error what the file should have been."""
     try:
         if not path.is_file():
-            raise InputError(f"{path}: not found; expected {expected}")
+            found = "is a folder" if path.is_dir() else "not found"
+            raise InputError(f"{path}: {found}; expected {expected}")
         if path.stat().st_size > MAX_TEXT_BYTES:
             raise InputError(f"{path}: larger than {MAX_TEXT_BYTES} bytes; expected {expected}")
         return path.read_text(encoding="utf-8")

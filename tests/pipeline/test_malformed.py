@@ -127,6 +127,13 @@ def test_a_missing_calibration(kitti, out):
     assert not out.exists()
 
 
+def test_a_folder_in_the_place_of_a_file_is_called_one(kitti, out, tmp_path):
+    (tmp_path / "folder.bin").mkdir()
+    assert_refused(run("lines", tmp_path / "folder.bin"), "folder.bin: is a folder; expected")
+    result = run("map", kitti, "--out", out, "--attitude", tmp_path / "folder.bin")
+    assert_refused(result, "folder.bin: is a folder; expected")
+
+
 def test_a_wrong_kind_of_dataset(kitti, out):
     assert_refused(run("map", kitti, "--dataset", "nuscenes", "--out", out), "nuscenes")
 
@@ -156,6 +163,13 @@ def test_nowhere_to_write_is_found_out_before_the_work(kitti, tmp_path):
     assert_refused(run("map", kitti, "--out", "/proc/nothing/here"), "/proc/nothing/here")
 
 
+def test_a_file_in_the_place_of_the_folder_of_a_training_is_found_out_first(kitti, tmp_path):
+    taken = tmp_path / "taken"
+    taken.write_text("a file, and precious")
+    assert_refused(run("train", "synthetic", "--out", taken), taken, "expected a folder")
+    assert_refused(run("train", "label", kitti, "--out", taken), taken, "expected a folder")
+
+
 def test_no_scans_at_all_is_wrong_usage(kitti, out):
     assert run("map", kitti, "--out", out, "--scans", "0").exit_code == 2
     assert not out.exists()
@@ -178,13 +192,20 @@ def test_a_map_without_its_cloud_is_named_and_the_cure_with_it(kitti, out, tmp_p
     assert_refused(run("relocalize", out / "map.sl3d", query), out / "map.sl3d", "map.clouds")
 
 
-def test_a_picture_that_cannot_be_written(tmp_path, ring_dataset):
-    files = []
-    for index in (10, 12):
-        (scan,) = ring_dataset.iterate(index, index + 1)
-        files.append(write_bin(tmp_path / f"{index}.bin", scan.points_lidar))
-    picture = tmp_path / "none" / "pair.png"
-    assert_refused(run("register", *files, "--out", picture), picture)
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("loops", "none", "--out", "nowhere/o.json"),
+        ("register", "none", "none", "--out", "nowhere/o.png"),
+        ("lines", "none", "--out", "nowhere/o.ply"),
+        ("merge", "none", "none", "--out", "nowhere/o.sl3d"),
+        ("export", "none", "nowhere/o.las"),
+        ("view", "none", "--out", "nowhere/o.rrd"),
+        ("train", "calibrate", "none", "none", "--out", "nowhere/o.safetensors"),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_found_out_before_anything_is_read(words):
+    assert_refused(run(*words), words[-1], "its folder does not exist")
 
 
 def test_an_earlier_run_survives_a_later_one_that_fails(kitti, out):

@@ -122,3 +122,5 @@ def test_a_pair_that_has_no_answer_is_status_1(sl3d, ring_dataset, elsewhere, tm
     result = sl3d("register", *files)
     assert result.returncode == 1
     assert result.stdout.startswith("no answer: ")
+    silent = sl3d("register", *files, "--quiet")
+    assert (silent.returncode, silent.stdout, silent.stderr) == (1, "", "")

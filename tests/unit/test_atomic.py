@@ -4,7 +4,7 @@ import os
 import pytest
 
 from sl3d_slam.errors import OutputError
-from sl3d_slam.files import prepare_run_folder, write_whole
+from sl3d_slam.files import prepare_run_folder, prove_writable, write_whole
 from sl3d_slam.io.json_files import write_json
 
 
@@ -86,3 +86,28 @@ def test_json_refuses_nan_and_keeps_the_old_file(tmp_path):
     with pytest.raises(OutputError, match=r"metrics\.json"):
         write_json(path, {"what": object()})
     assert path.read_text() == "{}"
+
+
+def test_a_file_that_can_be_written_is_not_touched_by_the_proof(tmp_path):
+    (tmp_path / "old.PNG").write_text("precious")
+    prove_writable(tmp_path / "old.PNG", (".png",))
+    prove_writable(tmp_path / "new.anything")
+    assert [path.name for path in tmp_path.iterdir()] == ["old.PNG"]
+    assert (tmp_path / "old.PNG").read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("a.txt", "ends in .png, .ply"),
+        ("nowhere/a.png", "its folder does not exist"),
+        ("file/a.png", "is a file, not a folder"),
+        ("folder.png", "it is a folder"),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_named_before_the_work(tmp_path, name, reason):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder.png").mkdir()
+    with pytest.raises(OutputError, match=reason) as found:
+        prove_writable(tmp_path / name, (".png", ".ply"))
+    assert str(tmp_path / name) in str(found.value)
