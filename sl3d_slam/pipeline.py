@@ -30,9 +30,9 @@ class SlamPipeline:
     ...     slam.process_scan(points)
     >>> run = slam.finish()
 
-    With ``workers`` lines are found in so many other processes while odometry goes on; what comes
-    out is the same to the bit. Loops of a keyframe are then known a few scans later. A ``journal``
-    that knows the first scans of the drive saves the work on them, not their reading.
+    With ``workers`` lines and loops are found in so many other processes while odometry goes on;
+    what comes out is the same to the bit. Loops of a keyframe take effect three keyframes later.
+    A ``journal`` that knows the first scans of the drive saves the work on them, not their reading.
     """
 
     def __init__(

@@ -37,7 +37,7 @@ WorkersOption = Annotated[
         "--workers",
         min=0,
         max=64,
-        help="Processes that find lines beside odometry; 0 for one after the other "
+        help="Processes that find lines and loops beside odometry; 0 for one after the other "
         "(default: one, where there is a processor for it). The results are the same.",
     ),
 ]
