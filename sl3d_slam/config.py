@@ -75,7 +75,7 @@ class MatchingSettings(Settings):
     min_inliers: int = Field(default=4, ge=2)
     max_hypotheses: int = Field(default=3000, ge=1)
     cloud_voxel_m: float = Field(default=0.5, gt=0)
-    min_overlap: float = Field(default=0.08, gt=0, le=1)
+    min_overlap: float = Field(default=0.05, gt=0, le=1)
     min_log_odds: float = 1.5
     min_agreeing_points: int = Field(default=600, ge=1)
 

@@ -1,7 +1,8 @@
 """Where is one scan in the frame of another? No first guess, no sampling, a reasoned no.
 
 Standing lines propose every pose, a bird's-eye field of the coarse clouds judges the best few
-thousand, GICP refines the few that are left, and what each scan saw through decides.
+thousand, GICP refines the few that are left, and what each scan saw through decides. Where that
+finds none, the pose that lines alone are sure of is tried.
 """
 
 from dataclasses import replace
@@ -33,6 +34,7 @@ NUM_REFINED = 3
 NUM_JUDGED_FULLY = 400  # poses that every point of the fields judges; the others a quarter of them
 THINNING = 4
 LINE_VOTE = 0.05  # what one agreeing line adds to the mean field value
+CONFIRMING_LOG_ODDS = 0.0  # by clouds, of a pose that lines alone are sure of
 
 
 def register_lines(
@@ -99,8 +101,26 @@ def register_views(
             return to_registration(evidence, "")
         if best is None or evidence.log_odds > best.log_odds:
             best = evidence
+    confirmed = _of_lines_alone(source, target, settings)
+    if confirmed is not None:
+        return to_registration(confirmed, "")
     assert best is not None
     return to_registration(best, objection(best, settings))
+
+
+def _of_lines_alone(
+    source: PreparedView, target: PreparedView, settings: MatchingSettings
+) -> Evidence | None:
+    """Return what lines alone are sure of, where the clouds confirm it.
+
+    Around a corner two scans share little: fields then like a wrong place better, lines do not.
+    """
+    alone = register_alone(source, target, settings)
+    if alone.T_target_source is None:
+        return None
+    evidence = gather_near(source, target, target.dense, alone.T_target_source, settings)
+    needed = settings.model_copy(update={"min_log_odds": CONFIRMING_LOG_ODDS})
+    return None if evidence is None or objection(evidence, needed) else evidence
 
 
 def _evidence(

@@ -13,6 +13,7 @@ from sl3d_slam.types import Registration
 MIN_LOG_ODDS = 0.5
 MAX_RIVAL_SHARE = 0.9  # evenly spaced lamps fit a place farther almost as well
 GAPS_M = (0.1, 0.5)  # a few lines lie closer by chance, and none farther counts
+MANY_PAIRINGS = 2000
 
 
 def register_alone(
@@ -34,13 +35,12 @@ def register_alone(
     gaps_m = line_distances_m(*lines, matches, T)
     gap_m = float(np.median(gaps_m)) if len(matches) else GAPS_M[1]
     matches = matches[gaps_m < reach_m]
+    num_pairings = len(source.verticals) * len(target.verticals)
+    log_odds = lines_log_odds(len(matches), gap_m, rival_share, num_pairings)
     reason = ""
     if len(matches) < settings.min_inliers:
         reason = f"only {len(matches)} lines agree, {settings.min_inliers} are needed"
-    elif (
-        rival_share > MAX_RIVAL_SHARE
-        or lines_log_odds(len(matches), gap_m, rival_share) < MIN_LOG_ODDS
-    ):
+    elif rival_share > MAX_RIVAL_SHARE or log_odds < MIN_LOG_ODDS:
         reason = (
             f"{len(matches)} lines agree to {gap_m:.2f} m, "
             f"but another place fits {rival_share:.0%} as well"
@@ -55,16 +55,19 @@ def register_alone(
     )
 
 
-def lines_log_odds(num_agreeing: int, gap_m: float, rival_share: float) -> float:
+def lines_log_odds(num_agreeing: int, gap_m: float, rival_share: float, num_pairings: int) -> float:
     """Return the log odds that the pose which lines alone like best is right.
 
     ``num_agreeing`` counts the lines it lays on each other, ``gap_m`` is the median of how far
-    they still lie apart, ``rival_share`` is the next place's share of its score. Logistic
-    regression over geometric lines of single scans, some tilted, of drives 01 and 02 and four
-    simulated towns, 10 to 30 m apart or of different places; the least gap was set afterwards.
-    Above 0.5 lie 96 % of 828 right answers and none of 1,987 wrong ones, of those left out (drive
-    05 and two towns) 91 % of 486 and none of 1,060. By learned lines, of drive 05 and three towns
-    that no fit saw, 99 % of 218 and none of 602, the likeliest of which has 0.04.
+    they still lie apart, ``rival_share`` is the next place's share of its score, ``num_pairings``
+    counts the pairs of a source and a target line: the more, the more lie on each other by chance.
+    Logistic regression over geometric lines of single scans, some tilted, of drives 01 and 02 and
+    four simulated towns, 10 to 30 m apart or of different places; the least gap and the pairings
+    were set afterwards. Above 0.5 lie 96 % of 828 right answers and none of 1,987 wrong ones, of
+    those left out (drive 05 and two towns) 90 % of 486 and none of 1,060. By learned lines, of
+    drive 05 and three towns that no fit saw, 99 % of 218 right ones; none of 1,000 pairs of
+    different places, the likeliest of which has 0.15 (0.96 before pairings counted).
     """
-    off = 25.0 * float(np.clip(gap_m, *GAPS_M))
+    by_chance = np.log(max(num_pairings, MANY_PAIRINGS) / MANY_PAIRINGS)
+    off = 25.0 * float(np.clip(gap_m, *GAPS_M)) + by_chance
     return float(-10.0 + 9.1 * (1.0 - rival_share) + 5.0 * np.log1p(num_agreeing) - off)

@@ -39,7 +39,7 @@ def test_good_evidence_is_not_objected_to_and_becomes_an_answer():
     [
         ({"correction_m": 4.1}, "refinement left the guess by 4.1 m"),
         ({"correction_rad": np.radians(11.0)}, "refinement left the guess"),
-        ({"overlap": 0.07}, "7% of the clouds overlap"),
+        ({"overlap": 0.04}, "4% of the clouds overlap"),
         ({"seen": Visibility(3000, 300)}, "sees through 9%"),
         ({"seen": Visibility(0, 0)}, "sees through"),
         ({"seen": Visibility(599, 0)}, "only 599 points agree"),

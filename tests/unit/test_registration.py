@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sl3d_slam import registration
 from sl3d_slam.config import MatchingSettings
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import (
@@ -16,8 +17,11 @@ from sl3d_slam.geometry.se3 import (
 )
 from sl3d_slam.lines.extract import LineExtractor
 from sl3d_slam.matching.alone import lines_log_odds
+from sl3d_slam.matching.prepared import PreparedView
 from sl3d_slam.matching.seeds import distinct
-from sl3d_slam.registration import register_lines
+from sl3d_slam.matching.views import make_view
+from sl3d_slam.registration import register_lines, register_views
+from sl3d_slam.simulation.drive import simulate_drive
 from sl3d_slam.types import LineSet
 
 T_TRUE = from_yaw(np.radians(137.0), np.array([8.0, -5.0, 0.0]))
@@ -63,11 +67,13 @@ def test_evenly_spaced_lamps_are_refused(num_lamps):
     assert "another place" in result.reason
 
 
-def test_odds_of_lines_alone_rise_with_lines_and_fall_with_their_gaps_and_a_rival():
-    assert lines_log_odds(8, 0.1, 0.5) > lines_log_odds(5, 0.1, 0.5)
-    assert lines_log_odds(8, 0.1, 0.5) > lines_log_odds(8, 0.2, 0.5)
-    assert lines_log_odds(8, 0.1, 0.5) > lines_log_odds(8, 0.1, 0.9)
-    assert np.isfinite(lines_log_odds(0, np.inf, 1.0))
+def test_odds_of_lines_alone_rise_with_lines_and_fall_with_gaps_a_rival_and_crowds():
+    odds = lines_log_odds(8, 0.2, 0.5, 4000)
+    assert odds > lines_log_odds(5, 0.2, 0.5, 4000)
+    assert odds > lines_log_odds(8, 0.3, 0.5, 4000)
+    assert odds > lines_log_odds(8, 0.2, 0.9, 4000)
+    assert odds > lines_log_odds(8, 0.2, 0.5, 6400)
+    assert np.isfinite(lines_log_odds(0, np.inf, 1.0, 0))
 
 
 def test_lines_of_two_places_get_no_pose(rng):
@@ -117,6 +123,20 @@ def test_tiny_clouds_are_a_no_with_a_reason(rng):
     result = register_lines(lines, lines, (tiny, tiny))
     assert not result.success
     assert "too few points" in result.reason
+
+
+def test_what_lines_are_sure_of_is_tried_where_fields_like_another_place(ring_drive, monkeypatch):
+    scans = [scan.points_lidar for scan in simulate_drive(ring_drive, [8, 4])]
+    views = [make_view(scan, *extract(scan), MatchingSettings().cloud_voxel_m) for scan in scans]
+    sides = [PreparedView(view, MatchingSettings()) for view in views]
+    elsewhere = np.array([[1.0, 30.0, -20.0]]), np.array([1.0])
+    monkeypatch.setattr(registration, "planar_seeds", lambda *_: elsewhere)
+    result = register_views(*sides, MatchingSettings())
+    assert result.success, result.reason
+    T_truth = invert(ring_drive.T_town_lidar[4]) @ ring_drive.T_town_lidar[8]
+    error_m, error_deg = error(T_truth, result.T_target_source)
+    assert error_m < 0.2
+    assert error_deg < 0.5
 
 
 def test_distinct_poses_differ_in_place_or_heading():
