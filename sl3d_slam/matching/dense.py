@@ -21,7 +21,7 @@ UNITS = np.repeat([np.radians(0.015), 0.01], 3)  # a step of each that moves a s
 COVARIANCE_SCALE = 1.7
 USUAL_MISFIT, LEAST_MISFIT = 0.15, 0.05
 MIN_SIGMAS = np.repeat([np.radians(0.003), 5e-4], 3)
-FAR_M = 75.0  # between the views: there they share so little that the covariance has doubled
+FAR_M = 50.0  # between the views: there they share so little that the covariance has doubled
 # GICP's surfaces hold a little along themselves, too (1 to 1,000): a bare corridor reaches 0.0024
 # of the best-held direction, a street slid by 4 m 0.0038, true pairs 25 m apart on real streets
 # 0.0064 and more
@@ -115,15 +115,17 @@ def information_of(alignment: DenseAlignment) -> Float64[np.ndarray, "6 6"]:
     GICP's Hessian H takes every point as independent and every surface as flat, so its inverse is
     too small, the more so the worse the surfaces lie on each other. The covariance is
     ``COVARIANCE_SCALE (misfit / USUAL_MISFIT)^2 (H^-1 + least variances)``, growing with the
-    distance between the views. Directions that no point fixes stay exactly zero.
+    fourth power of the distance between the views: up to 30 m it hardly matters, beyond 45 m they
+    share little but what both see at a slant. Directions that no point fixes stay exactly zero.
 
     Calibrated on 285 pairs of views up to 45 m apart in six simulated towns (HDL-64 and HDL-32), so
-    that the mean normalised error squared is six for six degrees of freedom. In five other towns
-    (one HDL-32) it was then 5.1 to 6.8, median 3.7 to 5.0; without the misfit 2.7 to 7.4. An
-    OS1-128, whose rings are dense, is better than it says (1.7). Single pairs reach 30, from an
-    HDL-32 some 100 (its rings are too far apart beyond 30 m to show how a surface lies: pitch errs
-    by up to 0.2 deg). ``sl3d bench covariance`` measures it on any drive with true poses: those of
-    real drives by GPS are centimetres off themselves, so there it comes out larger.
+    that the mean normalised error squared is six for six degrees of freedom, the growth on 136 up
+    to 60 m in three more. In towns that it never saw 35 pairs of an HDL-32E then had 8.1 (9.9 where
+    the growth was the square's) and 42 of an HDL-64E 7.4. An OS1-128, whose rings are dense, is
+    better than it says (3.0). Single pairs reach 30, from an HDL-32 some 100 (its rings are too far
+    apart beyond 30 m to show how a surface lies: pitch errs by up to 0.2 deg). ``sl3d bench
+    covariance`` measures it on any drive with true poses: those of real drives by GPS are
+    centimetres off themselves, so there it comes out larger.
     """
     values, vectors = np.linalg.eigh(alignment.hessian * np.outer(UNITS, UNITS))
     fixed = values > FREE_RATIO * max(float(values[-1]), 1e-12)
@@ -131,7 +133,7 @@ def information_of(alignment: DenseAlignment) -> Float64[np.ndarray, "6 6"]:
     distance_m = float(np.linalg.norm(alignment.T_target_source[:3, 3]))
     least = (basis.T * (MIN_SIGMAS / UNITS) ** 2) @ basis
     misfit = max(alignment.misfit, LEAST_MISFIT) / USUAL_MISFIT
-    growth = misfit**2 * (1.0 + (distance_m / FAR_M) ** 2)
+    growth = misfit**2 * (1.0 + (distance_m / FAR_M) ** 4)
     covariance = COVARIANCE_SCALE * growth * (np.diag(1.0 / values[fixed]) + least)
     information = basis @ np.linalg.inv(covariance) @ basis.T
     return 0.5 * (information + information.T) / np.outer(UNITS, UNITS)

@@ -139,6 +139,17 @@ def test_surfaces_that_lie_badly_on_each_other_say_less():
     np.testing.assert_allclose(good, 4.0 * bad, rtol=1e-9)
 
 
+def test_views_far_apart_say_less_and_near_ones_hardly():
+    """Beyond 45 m two views share little but what both see at a slant."""
+    hessian = np.diag([1e6] * 3 + [1e4] * 3)
+    here, near, far = (
+        information_of(DenseAlignment(make_transform(np.eye(3), ahead), hessian, 1.0))
+        for ahead in np.outer([0.0, 20.0, 55.0], [1.0, 0.0, 0.0])
+    )
+    assert np.all(np.diag(near) > 0.95 * np.diag(here))
+    assert np.all(np.diag(far) < 0.45 * np.diag(here))
+
+
 def test_the_misfit_of_an_alignment_grows_with_the_roughness_of_surfaces():
     def rough(rng):
         return yard(rng) + rng.normal(0.0, 0.1, (12_000, 3))
