@@ -26,22 +26,13 @@ class LossSettings(Settings):
 
 
 class AugmentSettings(Settings):
-    """How a cloud is changed before it is shown: yaw is always drawn from the full circle.
-
-    ``max_scale`` is how much larger or smaller a pair is made, as a factor. A cloud gets a sector
-    of up to ``max_foreign_deg`` from another scan with the chance ``foreign_share``, and up to
-    ``max_holes`` holes.
-    """
+    """How a cloud is changed before it is shown: yaw is always drawn from the full circle."""
 
     max_tilt_deg: float = Field(default=4.0, ge=0, le=30)
     max_thinning: float = Field(default=0.5, ge=0, lt=1)
     beam_share: float = Field(default=0.35, ge=0, le=1)
     noise_m: float = Field(default=0.015, ge=0)
     height_noise_m: float = Field(default=0.1, ge=0)
-    max_scale: float = Field(default=1.15, ge=1)
-    foreign_share: float = Field(default=0.5, ge=0, le=1)
-    max_foreign_deg: float = Field(default=150.0, ge=0, le=360)
-    max_holes: int = Field(default=6, ge=0)
 
 
 class JointSettings(Settings):

@@ -9,7 +9,6 @@ from sl3d_slam.geometry.se3 import Transform, invert
 from sl3d_slam.learning.augment import augment, without_faint_lines
 from sl3d_slam.learning.batch import PairBatch, make_batch
 from sl3d_slam.learning.joint_settings import JointSettings
-from sl3d_slam.learning.mixing import scaled, with_foreign_sector, with_holes
 from sl3d_slam.learning.pairs import close_pairs, draw_pair, same_lines
 from sl3d_slam.learning.prepared import PreparedDrive, PreparedScan
 from sl3d_slam.learning.virtual_view import draw_places, two_views
@@ -67,24 +66,14 @@ class PairSource:
             scans[0].endpoints, scans[1].endpoints, T_first_second, self._settings.match_distance_m
         )
         mirrored = bool(rng.random() < 0.5)
-        factor = float(self._settings.augment.max_scale ** rng.uniform(-1.0, 1.0))
-        changed = [self._changed(scan, factor, mirrored, rng) for scan in scans]
+        changed = [
+            without_faint_lines(
+                augment(scan, self._settings.augment, self._settings.points, mirrored, rng),
+                self._settings.min_line_points,
+            )
+            for scan in scans
+        ]
         return make_batch(changed[0], changed[1], matches, self._network)
-
-    def _changed(
-        self, scan: PreparedScan, factor: float, mirrored: bool, rng: np.random.Generator
-    ) -> PreparedScan:
-        """Return one side of a pair as it is shown; its own lines keep their rows."""
-        how = self._settings.augment
-        if rng.random() < how.foreign_share:
-            scan = with_foreign_sector(scan, self._any_scan(rng), how, rng)
-        scan = scaled(with_holes(scan, how, rng), factor)
-        shown = augment(scan, how, self._settings.points, mirrored, rng)
-        return without_faint_lines(shown, self._settings.min_line_points)
-
-    def _any_scan(self, rng: np.random.Generator) -> PreparedScan:
-        drive = self._drives[int(rng.integers(len(self._drives)))]
-        return drive.scans[int(rng.integers(len(drive.scans)))]
 
     def _draw_pair(self, rng: np.random.Generator) -> Pair:
         """Draw a drive (more scans, more often, real and simulated apart), then a pair of it."""

@@ -105,11 +105,6 @@ def test_cells_of_a_cloud_are_the_same_among_others(points):
         np.testing.assert_array_equal(joint[before:] - before, own)
         np.testing.assert_array_equal(gaps[before:], own_gaps)
         assert joint[:before].max() < before
-    squares = both.square_of[:before].max() + 1
-    np.testing.assert_array_equal(both.square_of[before:] - squares, alone.square_of)
-    np.testing.assert_array_equal(both.squares[before:] - squares, alone.squares)
-    np.testing.assert_array_equal(both.square_gaps[before:], alone.square_gaps)
-    assert both.squares[:before].max() < squares
 
 
 def test_nearest_cells_against_brute_force(points):
@@ -122,25 +117,6 @@ def test_nearest_cells_against_brute_force(points):
         near = np.take_along_axis(distance, found, axis=1)
         np.testing.assert_allclose(near, expected, atol=1e-4)  # means in float32
     assert np.ptp(points[cells.cell_of == 0, :3], axis=0).max() <= 2.0
-
-
-def test_nearest_squares_against_brute_force(points):
-    cells = find_cells(points[:, :3], np.zeros(len(points), np.int64))
-    count = len(cells.square_gaps)
-    centres = np.array([points[cells.cell_of == k, :3].mean(axis=0) for k in range(count)])
-    rows = [np.flatnonzero(cells.square_of == s) for s in range(cells.num_squares)]
-    assert all(np.ptp(centres[members, :2], axis=0).max() <= 8.0 for members in rows)
-    middles = np.array([centres[members].mean(axis=0) for members in rows])
-    across = np.linalg.norm(centres[:, None, :2] - middles[None, :, :2], axis=2)
-    np.testing.assert_allclose(
-        np.take_along_axis(across, cells.squares, axis=1),
-        np.sort(across, axis=1)[:, :20],
-        atol=1e-4,
-    )
-    up = middles[cells.squares, 2] - centres[:, None, 2]
-    np.testing.assert_allclose(cells.square_gaps[..., 1], up / 10.0, atol=1e-5)
-    few = find_cells(points[:5, :3], np.zeros(5, np.int64))
-    assert set(few.squares.ravel()) == set(range(few.num_squares))
 
 
 def test_lines_are_learned_of_without_torch(tmp_path):

@@ -126,20 +126,14 @@ def cell_maxima(
 @njit(cache=True, nogil=True, fastmath=FAST)
 @no_type_check
 def heard_of_cells(
-    own: np.ndarray,
-    told: tuple[np.ndarray, int],
-    neighbours: np.ndarray,
-    gaps: np.ndarray,
-    gap_weight: np.ndarray,
+    products: np.ndarray, neighbours: np.ndarray, gaps: np.ndarray, gap_weight: np.ndarray
 ) -> np.ndarray:
     """Return per cell the largest of what its neighbours tell it: CellConv before its mixing.
 
-    ``own`` (K, W or more) is what a cell is; ``told`` what the neighbours tell, (T, W) from a
-    column on; ``gap_weight`` (2, D).
+    ``products`` (K, 2 W) are what a cell is and what it tells; ``gap_weight`` (2, D).
     """
     count, k = neighbours.shape
-    words, column = told
-    width = gap_weight.shape[1]
+    width, behind = gap_weight.shape[1], products.shape[1] // 2
     result = np.empty((count, width), np.float32)
     largest = np.empty(width, np.float32)
     for i in range(count):
@@ -148,10 +142,10 @@ def heard_of_cells(
         for j in range(k):
             n, across, up = neighbours[i, j], gaps[i, j, 0], gaps[i, j, 1]
             for c in range(width):
-                word = words[n, column + c] + across * gap_weight[0, c] + up * gap_weight[1, c]
-                largest[c] = max(largest[c], word)
+                told = products[n, behind + c] + across * gap_weight[0, c] + up * gap_weight[1, c]
+                largest[c] = max(largest[c], told)
         for c in range(width):
-            result[i, c] = max(largest[c] + own[i, c], np.float32(0.0))
+            result[i, c] = max(largest[c] + products[i, c], np.float32(0.0))
     return result
 
 

@@ -50,13 +50,9 @@ class CompiledModel:
         classes, logits = tensors["segmentation.2.weight"], tensors["segmentation.2.bias"]
         self._contrast = classes[LINE] - classes[1 - LINE], float(logits[LINE] - logits[1 - LINE])
         self._blocks = [self._joint_layer(f"blocks.{b}") for b in (1, 2)]
-        exchanges = [f"exchanges.{e}" for e in range(EXCHANGES)]
-        listeners = [*exchanges, "outlook"] if settings.context else []
-        self._exchanges = [self._joint_layer(f"context.{e}", True) for e in listeners[:-1]]
-        self._mixes = {f"context.{name}": self._layer(f"context.{name}.mix") for name in listeners}
-        if settings.context:
-            edge = tensors["context.outlook.edge.weight"]
-            self._outlook = self._layer("context.outlook.centre"), _Layer(edge)
+        exchanges = range(EXCHANGES if settings.context else 0)
+        self._exchanges = [self._joint_layer(f"context.exchanges.{e}", True) for e in exchanges]
+        self._mixes = [self._layer(f"context.exchanges.{e}.mix") for e in exchanges]
         self._offsets = [self._layer(f"blocks.0.{part}") for part in ("first", "second")]
         self._descriptor = [self._layer(f"descriptor.{part}") for part in (0, 2)]
 
@@ -106,26 +102,13 @@ class CompiledModel:
     def _wide(self, lifted: Float32[np.ndarray, "M _"], cells: Cells) -> np.ndarray:
         """Return what each cell has learned of the surroundings (K, W)."""
         pooled = cell_maxima(lifted, self._settings.width, cells.cell_of, len(cells.gaps[0]))
-        for number, near in enumerate(zip(cells.neighbours, cells.gaps, strict=True)):
+        for number, (neighbours, gaps) in enumerate(zip(cells.neighbours, cells.gaps, strict=True)):
+            name = f"context.exchanges.{number}"
+            gap_weight = self._tensors[f"{name}.gap.weight"].T.copy()
             products = self._exchanges[number](pooled)
-            told = products, products.shape[1] // 2
-            pooled = pooled + self._heard(f"context.exchanges.{number}", products, told, near)
-        squares = cell_maxima(pooled, self._settings.width, cells.square_of, cells.num_squares)
-        own, told = self._outlook[0](pooled), (self._outlook[1](squares), 0)
-        near = cells.squares, cells.square_gaps
-        return pooled + self._heard("context.outlook", own, told, near)
-
-    def _heard(
-        self,
-        name: str,
-        own: np.ndarray,
-        told: tuple[np.ndarray, int],
-        near: tuple[np.ndarray, np.ndarray],
-    ) -> np.ndarray:
-        """Return what a CellConv adds to cells (K, W)."""
-        gap_weight = self._tensors[f"{name}.gap.weight"].T.copy()
-        heard = heard_of_cells(own, told, *near, gap_weight)
-        return normed(self._mixes[name](heard), self._norm(f"{name}.norm"))
+            heard = heard_of_cells(products, neighbours, gaps, gap_weight)
+            pooled = pooled + normed(self._mixes[number](heard), self._norm(f"{name}.norm"))
+        return pooled
 
     def _layer(self, name: str, second: "_Layer | None" = None) -> "_Layer":
         return _Layer(self._tensors[f"{name}.weight"], self._tensors[f"{name}.bias"], second)

@@ -17,8 +17,8 @@ class NetworkSettings(Settings):
     ``axes`` are those that neighbours' offsets are expressed in: the sensor's, or horizontal ones
     that each neighbourhood defines itself, which makes the network blind to the heading.
     ``scale_invariant`` is the first layer of the paper's synthetic stage (Eq. 1 and 3).
-    ``context`` joins a wide view, cells of 2 m and squares of 8 m, to the heads. ``heights`` tells
-    the first block how high a point is above the ground; not with ``scale_invariant``.
+    ``context`` joins a wide view, cells of 2 m, to the heads. ``heights`` tells the first block how
+    high a point is above the ground; not with ``scale_invariant``.
     """
 
     width: int = Field(default=64, ge=4, le=256)

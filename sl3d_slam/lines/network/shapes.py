@@ -26,7 +26,6 @@ def expected_shapes(settings: NetworkSettings) -> dict[str, tuple[int, ...]]:
         shapes |= _layer("context.lift", 3 * width, width)
         for exchange in range(EXCHANGES):
             shapes |= _exchange(f"context.exchanges.{exchange}", width)
-        shapes |= _exchange("context.outlook", width)
     shapes |= _layer("segmentation.0", joined, width) | _layer("segmentation.2", width, 2)
     shapes |= _layer("descriptor.0", joined, 2 * width)
     return shapes | _layer("descriptor.2", 2 * width, settings.descriptor_dim)
