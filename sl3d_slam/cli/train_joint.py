@@ -36,7 +36,7 @@ def joint(
         Path | None, typer.Option("--from", metavar="WEIGHTS", help="Start from these weights.")
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a run.")] = False,
-    points: Annotated[int, typer.Option(min=50, help="At most so many a cloud.")] = 9_000,
+    points: Annotated[int, typer.Option(min=50, help="At most so many a cloud.")] = 12_000,
     rate: Annotated[float, typer.Option(help="Highest learning rate.")] = 2e-3,
     contrast: Annotated[
         float, typer.Option(min=0, help="Weight of the ranking loss; the paper has none.")

@@ -40,7 +40,7 @@ class JointSettings(Settings):
 
     steps: int = Field(default=6500, ge=1)
     pairs_per_step: int = Field(default=1, ge=1)
-    points: int = Field(default=9_000, ge=50)
+    points: int = Field(default=12_000, ge=50)
     learning_rate: float = Field(default=2e-3, gt=0)
     warmup_steps: int = Field(default=100, ge=0)
     seed: int = Field(default=0, ge=0)

@@ -223,7 +223,7 @@ def test_network_points_are_voxel_means_above_ground(rng):
     points = network_points(make_scene(scan, LineSettings()), settings)
     assert points.dtype == np.float32
     assert np.abs(points[:, :2] - [8.0, 3.0]).max() < 0.15
-    assert 4.0 / 0.3 - 2 <= len(points) < 4 * 4.0 / 0.3  # a voxel or, at its borders, up to four
+    assert 4.0 / 0.25 - 2 <= len(points) < 4 * 4.0 / 0.25  # a voxel or, at its borders, up to four
     # the ground is at -1.7 and its height is known to a centimetre or two
     np.testing.assert_allclose(points[:, 3], points[:, 2] + 1.7, atol=0.05)
     again = make_scene(scan[rng.permutation(len(scan))], LineSettings())

@@ -23,12 +23,12 @@ class NetworkSettings(Settings):
 
     width: int = Field(default=64, ge=4, le=256)
     descriptor_dim: int = Field(default=64, ge=2, le=256)
-    num_neighbours: int = Field(default=16, ge=2, le=64)
+    num_neighbours: int = Field(default=20, ge=2, le=64)
     stride: int = Field(default=4, ge=1, le=16)
     neighbours: Literal["space", "features"] = "space"
     axes: Literal["sensor", "own"] = "own"
     scale_invariant: bool = False
     context: bool = True
     heights: bool = True
-    voxel_size_m: float = Field(default=0.3, gt=0)
+    voxel_size_m: float = Field(default=0.25, gt=0)
     max_points: int = Field(default=20_000, ge=50)
