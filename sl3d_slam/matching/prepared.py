@@ -4,8 +4,10 @@ from functools import cached_property
 
 import numpy as np
 import small_gicp
+from jaxtyping import Float32
 
 from sl3d_slam.config import MatchingSettings
+from sl3d_slam.geometry.facing import faces_its_beam
 from sl3d_slam.geometry.se3 import Points, Transform, from_yaw, invert, transform_points
 from sl3d_slam.matching import dense, field, refine, visibility
 from sl3d_slam.matching.dense import MovingClouds
@@ -62,14 +64,20 @@ class PreparedView:
         return visibility.range_image(self.level_points)
 
     @cached_property
+    def _seen(self) -> Float32[np.ndarray, "M 3"]:
+        """The coarse cloud without what its beams met edge-on."""
+        points = self.view.cloud.astype(np.float64)
+        return self.view.cloud[faces_its_beam(points, dense.NEIGHBOURS)]
+
+    @cached_property
     def dense(self) -> dense.DenseCloud | None:
         """The coarse cloud for others to be aligned to; None where it has too few points."""
-        return dense.prepare(self.view.cloud)
+        return dense.prepare(self._seen)
 
     @cached_property
     def thinned(self) -> MovingClouds | None:
         """The coarse cloud to be moved in stages; None where it has too few points."""
-        return dense.thin(self.view.cloud)
+        return dense.thin(self._seen)
 
     @cached_property
     def street(self) -> Points:
