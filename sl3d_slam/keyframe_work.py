@@ -100,6 +100,10 @@ class KeyframeWork:
         """Take up all that are open, let all searches take effect and end the workers."""
         self._take_up(0)
         self._conclude(0)
+        self.close()
+
+    def close(self) -> None:
+        """End the workers; what they had not begun is dropped."""
         self._beside.close()
 
     def build_map(self, T_world_lidar: Float64[np.ndarray, "N 4 4"], origin: MapOrigin) -> LineMap:

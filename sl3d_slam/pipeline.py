@@ -157,6 +157,10 @@ class SlamPipeline:
             covariances=keyframe_covariances(final, covered) if covariance else None,
         )
 
+    def close(self) -> None:
+        """End the workers of a drive that is left unfinished; does nothing after ``finish``."""
+        self._work.close()
+
 
 def _checked_stamps(stamps: np.ndarray, count: int, index: int) -> Float64[np.ndarray, "N"]:
     times = np.asarray(stamps, np.float64)

@@ -108,6 +108,8 @@ def run_map(opened: "Dataset", out: Path, mapping: Mapping) -> dict[str, Any]:
 
 def drive_through(opened: "Dataset", mapping: Mapping) -> "Run":
     """Take an opened dataset through the pipeline; say its warnings, show the progress."""
+    from contextlib import closing
+
     from sl3d_slam.beside import spare_processors
     from sl3d_slam.cli.progress import COMPILING, Meter, notice
     from sl3d_slam.pipeline import SlamPipeline
@@ -115,15 +117,15 @@ def drive_through(opened: "Dataset", mapping: Mapping) -> "Run":
     for warning in opened.warnings:
         typer.echo(f"sl3d: {warning}", err=True)
     workers = min(1, spare_processors()) if mapping.workers is None else mapping.workers
-    slam = SlamPipeline(mapping.settings, opened.simulated, workers, mapping.journal)
     total = len(opened) if mapping.scans is None else min(mapping.scans, len(opened))
-    with notice(COMPILING, lambda: not slam.is_ready, mapping.quiet):
+    pipeline = SlamPipeline(mapping.settings, opened.simulated, workers, mapping.journal)
+    with closing(pipeline) as slam, notice(COMPILING, lambda: not slam.is_ready, mapping.quiet):
         slam.get_ready()
         with Meter(total, quiet=mapping.quiet) as meter:
             for scan in opened.iterate(0, total):
                 slam.process(scan)
                 meter.advance(f"loops {slam.num_loops}")
-    return slam.finish(mapping.measurements, mapping.covariance)
+        return slam.finish(mapping.measurements, mapping.covariance)
 
 
 def identity_of(opened: "Dataset", settings: "SlamConfig") -> dict[str, str]:

@@ -25,12 +25,13 @@ def calibrate(
 ) -> None:
     """Fit the probabilities of a trained network to labelled drives; descriptors stay."""
     from sl3d_slam.cli.progress import Meter
-    from sl3d_slam.files import prove_writable
+    from sl3d_slam.files import prepare_run_folder, prove_writable
     from sl3d_slam.learning.calibration import calibrate as fit
     from sl3d_slam.learning.prepare import find_sources, prepare_drive
     from sl3d_slam.lines.network.weights_file import load_weights, read_about, save_weights
 
     prove_writable(out)
+    prepare_run_folder(cache)
     model = load_weights(weights)
     with Meter(None, "scans prepared", quiet) as meter:
         drives = [

@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 
 from sl3d_slam.errors import InputError
-from sl3d_slam.files import write_whole
+from sl3d_slam.files import prepare_run_folder, write_whole
 from sl3d_slam.learning.joint import JointTraining, Progress
 from sl3d_slam.learning.joint_settings import JointSettings
 from sl3d_slam.learning.joint_validation import detect, rank
@@ -85,13 +85,11 @@ def train_joint(
         where the folder cannot be written to.
     """
     torch.set_num_threads(plan.threads)
+    for folder in (plan.out, cache_of(plan)):
+        prepare_run_folder(folder)
     with joined_team() as team:
         model = start_model(network, settings, plan.start)
-        drives, held_out = _prepare_together(plan, model.settings, team, prepared)
-        singles = [
-            prepare_singles(folder, cache_of(plan), model.settings, plan.start, prepared)
-            for folder in plan.singles
-        ]
+        drives, singles, held_out = _prepare_together(plan, model.settings, team, prepared)
         training = JointTraining(model, drives, settings, plan.out, team, singles)
         if plan.resume:
             training.resume()
@@ -119,16 +117,29 @@ def start_model(
 
 def _prepare_together(
     plan: JointPlan, network: NetworkSettings, team: Team, progress: Callable[[str], None]
-) -> tuple[list[PreparedDrive], list[PreparedDrive]]:
-    """Prepare in one process what the others then find in the cache; it alone looks at results."""
-    drives, held_out = [], []
+) -> tuple[list[PreparedDrive], list[PreparedDrive], list[PreparedDrive]]:
+    """Prepare in one process what the others then find in the cache; it alone looks at results.
+
+    Returns drives, singles and drives held out.
+    """
+    held_out = []
     if team.leads:
-        drives = _prepare(plan, plan.data, network, progress)
+        drives, singles = _prepare_learned_from(plan, network, progress)
         held_out = _prepare(plan, plan.held_out, network, progress)
     team.wait()
     if not team.leads:
-        drives = _prepare(plan, plan.data, network, progress)
-    return drives, held_out
+        drives, singles = _prepare_learned_from(plan, network, progress)
+    return drives, singles, held_out
+
+
+def _prepare_learned_from(
+    plan: JointPlan, network: NetworkSettings, progress: Callable[[str], None]
+) -> tuple[list[PreparedDrive], list[PreparedDrive]]:
+    singles = [
+        prepare_singles(folder, cache_of(plan), network, plan.start, progress)
+        for folder in plan.singles
+    ]
+    return _prepare(plan, plan.data, network, progress), singles
 
 
 def cache_of(plan: JointPlan) -> Path:

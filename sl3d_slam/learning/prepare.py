@@ -11,6 +11,7 @@ from jaxtyping import Float32, Float64
 
 from sl3d_slam.config import InputSettings, LineSettings, OdometrySettings
 from sl3d_slam.errors import InputError
+from sl3d_slam.files import prepare_run_folder
 from sl3d_slam.geometry.se3 import Points
 from sl3d_slam.io.dataset import Dataset
 from sl3d_slam.io.folder import ScanFiles, read_cloud
@@ -101,7 +102,7 @@ def prepare_drive(
         plan = _LabelledScans(source, tuple(labelled), T_world_lidar)
         scans = _scans_by_files(dataset, plan, network, progress)
     drive = PreparedDrive(dataset.name, dataset.simulated, T_world_lidar, tuple(scans))
-    cache.mkdir(parents=True, exist_ok=True)
+    prepare_run_folder(cache)
     save_drive(cache / name, drive, key)
     return drive
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sl3d_slam.config import InputSettings, LineSettings
+from sl3d_slam.files import prepare_run_folder
 from sl3d_slam.io.open import open_dataset
 from sl3d_slam.learning.landmarks import Landmarks, label_points
 from sl3d_slam.learning.prepare import FORMAT, Progress, points_of_network
@@ -52,7 +53,7 @@ def prepare_singles(
         scans.append(_labelled(points, extractor.extract(scan.points_lidar)))
         progress(dataset.name)
     drive = PreparedDrive(dataset.name, False, _far_apart(len(scans)), tuple(scans))
-    cache.mkdir(parents=True, exist_ok=True)
+    prepare_run_folder(cache)
     save_drive(file, drive, key)
     return drive
 

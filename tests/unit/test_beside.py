@@ -97,3 +97,12 @@ def test_what_compiles_ends_and_leaves_what_is_wrong_to_be_said_by_the_worker(ca
     with pytest.raises(InputError, match="nowhere"):
         result_of(maker.make_view(np.ones((200, 3))))
     maker.close()
+
+
+def test_closing_drops_views_that_no_worker_has_begun(ring_dataset):
+    maker = Beside(load_config(), workers=1)
+    scans = [scan.points_lidar for scan in ring_dataset.iterate(0, 12)]
+    views = [maker.make_view(points) for points in scans]
+    maker.close()
+    assert all(view.done() for view in views)
+    assert views[-1].cancelled()

@@ -6,12 +6,18 @@ import numpy as np
 import pytest
 import torch
 
-from sl3d_slam.errors import InputError
+from sl3d_slam.errors import InputError, OutputError
 from sl3d_slam.geometry.se3 import from_yaw, invert, make_transform, transform_points
 from sl3d_slam.geometry.segments import transform_segments
 from sl3d_slam.learning.augment import augment
 from sl3d_slam.learning.joint import COLUMNS, JointTraining, read_curves
-from sl3d_slam.learning.joint_run import look_at_drive, read_looks, write_looks
+from sl3d_slam.learning.joint_run import (
+    JointPlan,
+    look_at_drive,
+    read_looks,
+    train_joint,
+    write_looks,
+)
 from sl3d_slam.learning.joint_settings import AugmentSettings, JointSettings
 from sl3d_slam.learning.joint_validation import detect, rank
 from sl3d_slam.learning.pair_source import PairSource
@@ -268,3 +274,15 @@ def test_looks_of_an_earlier_part_of_a_run_are_kept(drive, tmp_path):
     (tmp_path / "validation.csv").write_text("step,drive\nx,y\n")
     with pytest.raises(InputError, match=r"validation\.csv: expected"):
         read_looks(tmp_path / "validation.csv", 10)
+
+
+def test_a_file_where_results_should_go_is_found_out_before_any_drive_is_read(tmp_path):
+    file = tmp_path / "file"
+    file.write_text("precious")
+    for plan in (
+        JointPlan((tmp_path / "no drive",), file),
+        JointPlan((tmp_path / "no drive",), tmp_path / "run", cache=file),
+    ):
+        with pytest.raises(OutputError, match="file: is a file; expected a folder"):
+            train_joint(plan, JointSettings(), SMALL)
+    assert file.read_text() == "precious"
