@@ -19,6 +19,7 @@ from sl3d_slam import worker
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import Sl3dError
 from sl3d_slam.geometry.se3 import Points
+from sl3d_slam.memory import children_peak_mb
 from sl3d_slam.verifying import Candidates
 from sl3d_slam.worker import Made, Verified, Workbench
 
@@ -41,6 +42,7 @@ class Beside:
 
     def __init__(self, config: SlamConfig, workers: int = 0) -> None:
         self.workers = workers
+        self.workers_peak_mb = 0.0
         self._here = Workbench(config)
         self._begun: list[Future[Any]] = []
         self._rehearsal: Future[None] | None = None
@@ -89,8 +91,9 @@ class Beside:
         return _done(self._here.verify(candidates))
 
     def close(self) -> None:
-        """End the processes; what was not begun is dropped."""
+        """End the processes; what was not begun is dropped. Notes the most that they held."""
         if self._pool is not None:
+            self.workers_peak_mb = max(self.workers_peak_mb, children_peak_mb())
             self._pool.shutdown(cancel_futures=True)
 
     def _begin(self, work: Callable[..., T], *argument: Any) -> "Future[T]":

@@ -78,6 +78,11 @@ class KeyframeWork:
         """Whether nothing is left to be loaded or compiled."""
         return self._beside.is_ready
 
+    @property
+    def workers_peak_mb(self) -> float:
+        """The most memory that the workers held of their own, once they have ended."""
+        return self._beside.workers_peak_mb
+
     def get_ready(self) -> None:
         """Compile what a first run on a machine must compile, and load it."""
         if must_compile():

@@ -153,6 +153,7 @@ class SlamPipeline:
             line_map=line_map,
             num_keyframes=len(keyframe_scans),
             times=self._times,
+            workers_peak_mb=self._work.workers_peak_mb,
             world=None if world is None else world.facts(),
             covariances=keyframe_covariances(final, covered) if covariance else None,
         )

@@ -1,8 +1,6 @@
 """What a run leaves: numbers, files and pictures, each written whole or not at all."""
 
 import platform
-import resource
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -23,6 +21,7 @@ from sl3d_slam.io.trajectory import to_camera_frame, write_kitti_poses, write_tu
 from sl3d_slam.mapping.facts import map_facts
 from sl3d_slam.mapping.georeference import georeference_tree
 from sl3d_slam.mapping.line_map import LineMap
+from sl3d_slam.memory import own_peak_mb
 from sl3d_slam.report.map_pictures import draw_map
 from sl3d_slam.report.metrics import ate_rmse_m, count_false_loops, kitti_errors
 from sl3d_slam.report.trajectory import draw_trajectory
@@ -73,6 +72,7 @@ class Run:
     line_map : the landmarks, in the world frame.
     world : what became of GPS and gravity, where given.
     covariances : marginals of the keyframes, where asked for.
+    workers_peak_mb : the most memory that worker processes held of their own.
     """
 
     config: SlamConfig
@@ -85,6 +85,7 @@ class Run:
     times: StageTimes
     world: dict[str, Any] | None = None
     covariances: KeyframeCovariances | None = None
+    workers_peak_mb: float = 0.0
 
     def metrics(self, dataset: Dataset | None = None) -> dict[str, Any]:
         """Return the content of ``metrics.json``; truth-based figures only where truth is known."""
@@ -103,7 +104,7 @@ class Run:
             "num_lines": len(self.line_map.lines),
             "map_kb_per_km": map_size["kb_per_km"],
             "map_lines_kb_per_km": map_size["lines_kb_per_km"],
-            "peak_rss_mb": peak_rss_mb(),
+            "peak_rss_mb": own_peak_mb() + self.workers_peak_mb,
             "stages": self.times.summary(),
         }
         truth = None if dataset is None or dataset.truth is None else dataset.truth[: len(poses)]
@@ -160,13 +161,6 @@ class Run:
         picture = draw_trajectory(self.trajectory, self.odometry, truth, self.loops, name)
         write_whole(folder / "trajectory.png", picture)
         write_whole(folder / "map.png", draw_map(self.line_map.lines, self.trajectory, name))
-
-
-def peak_rss_mb() -> float:
-    """Return the most memory this process has held, and the largest of its ended workers, in MB."""
-    whose = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    peak = sum(resource.getrusage(who).ru_maxrss for who in whose)
-    return peak / 1e6 if sys.platform == "darwin" else peak / 1e3
 
 
 def loop_tree(loop: LoopRecord) -> dict[str, Any]:

@@ -12,11 +12,11 @@ from typing import Any
 from sl3d_slam.bench.drives import Drive
 from sl3d_slam.bench.extract_stages import STAGES, Stopwatch
 from sl3d_slam.bench.lines_plan import LineMethod, make_extractor
-from sl3d_slam.bench.memory import own_peak_mb
 from sl3d_slam.bench.process import serve
 from sl3d_slam.bench.systems import make_system
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.io.open import read_scan
+from sl3d_slam.memory import own_peak_mb
 from sl3d_slam.types import Scan
 
 WARM_UP_SCANS = 2

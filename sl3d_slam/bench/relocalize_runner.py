@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from sl3d_slam.bench.memory import rss_mb
 from sl3d_slam.bench.process import serve
 from sl3d_slam.bench.relocalize_world import read_query
 from sl3d_slam.config import SlamConfig
@@ -20,6 +19,7 @@ from sl3d_slam.lines.extract import LineExtractor
 from sl3d_slam.mapping.line_map import LineMap
 from sl3d_slam.matching.prepared import PreparedView
 from sl3d_slam.matching.views import make_view
+from sl3d_slam.memory import rss_mb
 from sl3d_slam.relocalization.map_finder import MapFinder
 from sl3d_slam.types import View
 

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from sl3d_slam.bench.drives import Drive
-from sl3d_slam.bench.memory import own_peak_mb, rss_mb
 from sl3d_slam.bench.process import serve
 from sl3d_slam.bench.systems import make_system
 from sl3d_slam.config import SlamConfig
+from sl3d_slam.memory import own_peak_mb, rss_mb
 from sl3d_slam.types import LoopRecord
 
 ARRAYS = "run.npz"

@@ -25,12 +25,29 @@ def own_peak_mb() -> float:
     What getrusage tells of a process is at least what its parent held when it began it.
     """
     try:
-        rows = (_PROC / "self" / "status").read_text(encoding="ascii").splitlines()
-        return next(1024 * int(row.split()[1]) / 1e6 for row in rows if row.startswith("VmHWM"))
+        return 1024 * _status_kb("self")["VmHWM"] / 1e6
     except OSError:
         pass
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / 1e6 if sys.platform == "darwin" else 1024 * peak / 1e6
+
+
+def children_peak_mb() -> float:
+    """Return the sum of the most that each running child has held of its own; 0 without /proc."""
+    try:
+        return sum(map(_private_peak_mb, _children()), 0.0)
+    except OSError:
+        return 0.0
+
+
+def _private_peak_mb(process: int) -> float:
+    kb = _status_kb(process)
+    return 1024 * (kb["VmHWM"] - kb["RssFile"] - kb["RssShmem"]) / 1e6
+
+
+def _status_kb(process: int | str) -> dict[str, int]:
+    rows = (_PROC / str(process) / "status").read_text(encoding="utf-8").splitlines()
+    return {row.split(":")[0]: int(row.split()[1]) for row in rows if row.endswith(" kB")}
 
 
 def _resident_mb(process: int) -> float:

@@ -1,0 +1,41 @@
+"""How much memory a process holds is its own, whatever its parent held."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sl3d_slam.memory import children_peak_mb
+
+PEAK = "from sl3d_slam.memory import own_peak_mb; {}; print(own_peak_mb())"
+
+
+def peak_of(statement):
+    command = [sys.executable, "-c", PEAK.format(statement)]
+    return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux's /proc")
+def test_a_process_that_a_large_one_starts_is_not_large():
+    large = np.ones(40_000_000)
+    assert peak_of("pass") < 150
+    assert large.nbytes == 320_000_000
+
+
+def test_the_peak_stays_after_memory_was_given_back():
+    assert peak_of("x = bytearray(300_000_000); del x") > 300
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux's /proc")
+def test_a_child_counts_with_what_is_its_own_and_at_its_most():
+    before = children_peak_mb()
+    script = "x = bytearray(200_000_000); del x; print('done', flush=True); input()"
+    command = [sys.executable, "-c", script]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
+        assert child.stdout.readline() == b"done\n"
+        held = children_peak_mb() - before
+        child.communicate(b"\n")
+    assert 195 < held < 230
+    assert children_peak_mb() == pytest.approx(before, abs=5)
