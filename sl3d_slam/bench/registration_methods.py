@@ -14,7 +14,6 @@ from sl3d_slam.bench.peers import importing
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import Points, Transform, make_transform
-from sl3d_slam.types import Registration
 
 KISS_VOXEL_M = 0.3  # what its authors use outdoors
 KISS_MIN_INLIERS = 5  # below this its authors call an answer unreliable
@@ -48,27 +47,19 @@ Pairwise = Callable[[Points, Points], list[Attempt]]  # one attempt a method
 
 
 def ours(config: SlamConfig) -> Pairwise:
-    """Return this package's registration, verified on the clouds and by lines alone.
+    """Return this package's registration, verified on the clouds and by lines alone."""
+    from sl3d_slam.scan_pair import PairRegistrar
 
-    The two share the lines of a pair; each is charged for them.
-    """
-    from sl3d_slam.lines.extract import LineExtractor
-    from sl3d_slam.registration import register_lines
-    from sl3d_slam.side_by_side import side_by_side
-
-    extractor = LineExtractor(config.lines)
+    registrar = PairRegistrar(config)
 
     def register(source: Points, target: Points) -> list[Attempt]:
-        start_s = time.perf_counter()
-        lines = side_by_side(extractor.extract, source, target)
-        extract_s = time.perf_counter() - start_s
         attempts = []
-        for clouds in ((source, target), None):
+        for way in (registrar.register, registrar.register_by_lines):
             start_s = time.perf_counter()
-            answer: Registration = register_lines(*lines, clouds=clouds, settings=config.matching)
-            match_s = time.perf_counter() - start_s
-            pose = answer.T_target_source if answer.success else None
-            attempts.append(Attempt(pose, extract_s, match_s))
+            answer = way(source, target)
+            total_s = time.perf_counter() - start_s
+            pose = answer.registration.T_target_source if answer.registration.success else None
+            attempts.append(Attempt(pose, answer.extract_s, total_s - answer.extract_s))
         return attempts
 
     return register

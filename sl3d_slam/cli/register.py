@@ -28,17 +28,16 @@ def register(
     from sl3d_slam.config import load_config
     from sl3d_slam.files import prove_writable, write_whole
     from sl3d_slam.io.open import read_scan
-    from sl3d_slam.lines.extract import LineExtractor
-    from sl3d_slam.registration import register_lines
-    from sl3d_slam.side_by_side import side_by_side
+    from sl3d_slam.scan_pair import PairRegistrar
 
     settings = load_config(config, overrides or ())
     if out is not None:
         prove_writable(out, (".png",))
     clouds = read_scan(source, settings.input), read_scan(target, settings.input)
     with notice(COMPILING, lambda: True, quiet or json):
-        found = side_by_side(LineExtractor(settings.lines).extract, *clouds)
-        result = register_lines(*found, None if lines_only else clouds, settings.matching)
+        registrar = PairRegistrar(settings)
+        way = registrar.register_by_lines if lines_only else registrar.register
+        result, found, _ = way(*clouds)
     if out is not None:
         from sl3d_slam.report.pictures import draw_registration
 

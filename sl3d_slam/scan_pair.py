@@ -1,0 +1,70 @@
+"""Two scans, from their points to a pose: by geometric lines where those are sure, else by learned.
+
+Learned lines take more than twice as long to find, and most pairs do without them.
+"""
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from sl3d_slam.config import MatchingSettings, SlamConfig
+from sl3d_slam.geometry.se3 import Points
+from sl3d_slam.lines.extract import LineExtractor
+from sl3d_slam.registration import register_lines
+from sl3d_slam.side_by_side import side_by_side
+from sl3d_slam.types import LineSet, Registration
+
+OtherPoints = Float64[np.ndarray, "M 3"]
+
+SURE_LOG_ODDS, SURE_OVERLAP = 2.0, 0.1  # of a pose by geometric lines, else the network is asked
+
+
+class PairAnswer(NamedTuple):
+    """The lines of source and target that decided, and the seconds that finding lines took."""
+
+    registration: Registration
+    lines: tuple[LineSet, LineSet]
+    extract_s: float
+
+
+class PairRegistrar:
+    """Registers pairs of scans (N, 3) in metres, each in its lidar frame, with no first guess."""
+
+    def __init__(self, config: SlamConfig) -> None:
+        """Load what the settings' line method needs."""
+        self._matching = config.matching
+        self._extractors = [(LineExtractor(config.lines), config.matching)]
+        if config.lines.method == "learned":
+            geometric = config.lines.model_copy(update={"method": "geometric"})
+            self._extractors.insert(0, (LineExtractor(geometric), _sure(config.matching)))
+
+    def register(self, source: Points, target: OtherPoints) -> PairAnswer:
+        """Find ``T_target_source`` by lines and clouds."""
+        extract_s = 0.0
+        for extractor, settings in self._extractors:
+            start_s = time.perf_counter()
+            lines = side_by_side(extractor.extract, source, target)
+            extract_s += time.perf_counter() - start_s
+            registration = register_lines(*lines, (source, target), settings)
+            if registration.success:
+                break
+        return PairAnswer(registration, lines, extract_s)
+
+    def register_by_lines(self, source: Points, target: OtherPoints) -> PairAnswer:
+        """Find ``T_target_source`` by the lines of the settings' method alone."""
+        start_s = time.perf_counter()
+        lines = side_by_side(self._extractors[-1][0].extract, source, target)
+        extract_s = time.perf_counter() - start_s
+        return PairAnswer(register_lines(*lines, settings=self._matching), lines, extract_s)
+
+
+def _sure(matching: MatchingSettings) -> MatchingSettings:
+    """Return settings that want no less than the given ones, nor than what needs no network."""
+    return matching.model_copy(
+        update={
+            "min_log_odds": max(matching.min_log_odds, SURE_LOG_ODDS),
+            "min_overlap": max(matching.min_overlap, SURE_OVERLAP),
+        }
+    )
