@@ -34,7 +34,7 @@ NUM_REFINED = 3
 NUM_JUDGED_FULLY = 400  # poses that every point of the fields judges; the others a quarter of them
 THINNING = 4
 LINE_VOTE = 0.05  # what one agreeing line adds to the mean field value
-CONFIRMING_LOG_ODDS = 0.0  # by clouds, of a pose that lines alone are sure of
+CONFIRMED_LOG_ODDS = 1.5  # that a pose may lack by clouds where lines alone are sure of it
 
 
 def register_lines(
@@ -119,7 +119,8 @@ def _of_lines_alone(
     if alone.T_target_source is None:
         return None
     evidence = gather_near(source, target, target.dense, alone.T_target_source, settings)
-    needed = settings.model_copy(update={"min_log_odds": CONFIRMING_LOG_ODDS})
+    min_log_odds = settings.min_log_odds - CONFIRMED_LOG_ODDS
+    needed = settings.model_copy(update={"min_log_odds": min_log_odds})
     return None if evidence is None or objection(evidence, needed) else evidence
 
 

@@ -40,7 +40,7 @@ def test_the_network_is_not_asked_where_geometry_is_sure(pair, monkeypatch):
 def test_the_networks_lines_decide_where_geometry_is_not_sure(pair, monkeypatch):
     source, target, T_truth = pair
     asked = asked_of(monkeypatch)
-    monkeypatch.setattr(scan_pair, "SURE_OVERLAP", 1.0)
+    monkeypatch.setattr(scan_pair, "SURE_LOG_ODDS", 1e9)
     answer = PairRegistrar(SlamConfig()).register(source, target)
     assert len(asked) == 2
     np.testing.assert_allclose(answer.registration.T_target_source, T_truth, atol=0.1)
@@ -53,7 +53,7 @@ def test_the_networks_lines_decide_where_geometry_is_not_sure(pair, monkeypatch)
 
 def test_what_settings_want_is_wanted_of_both(pair, monkeypatch):
     asked = asked_of(monkeypatch)
-    config = load_config(None, ["matching.min_overlap=1.0"])
+    config = load_config(None, ["matching.min_log_odds=1e9"])
     answer = PairRegistrar(config).register(*pair[:2])
     assert len(asked) == 2
     assert not answer.registration.success
