@@ -80,7 +80,15 @@ class MatchingSettings(Settings):
     min_agreeing_points: int = Field(default=600, ge=1)
 
 
-class LoopSettings(Settings):
+class JudgingSettings(Settings):
+    """A use of matches that has thresholds of its own."""
+
+    def judging(self, matching: MatchingSettings) -> MatchingSettings:
+        """Return settings of a match with the thresholds of this use."""
+        return matching.model_copy(update=self.model_dump(include=THRESHOLDS))
+
+
+class LoopSettings(JudgingSettings):
     """Where loop candidates come from and how many are verified."""
 
     enabled: bool = True
@@ -92,10 +100,6 @@ class LoopSettings(Settings):
     max_distance_m: float = Field(default=60.0, gt=0)
     min_log_odds: float = 2.0
     min_overlap: float = Field(default=0.1, gt=0, le=1)
-
-    def judging(self, matching: MatchingSettings) -> MatchingSettings:
-        """Return settings of a match with the thresholds of a loop."""
-        return matching.model_copy(update=self.model_dump(include=THRESHOLDS))
 
 
 class GraphSettings(Settings):
@@ -152,16 +156,12 @@ class MapSettings(Settings):
     cloud_min_keyframes: int = Field(default=2, ge=1)
 
 
-class RelocalizationSettings(Settings):
+class RelocalizationSettings(JudgingSettings):
     """What a place of a saved map must show; it differs from a scan: it has seen more sides."""
 
     min_log_odds: float = -3.0
     min_inliers: int = Field(default=5, ge=2)
     min_overlap: float = Field(default=0.1, gt=0, le=1)
-
-    def judging(self, matching: MatchingSettings) -> MatchingSettings:
-        """Return settings of a match with the thresholds of a map's place."""
-        return matching.model_copy(update=self.model_dump(include=THRESHOLDS))
 
 
 class SlamConfig(Settings):

@@ -92,6 +92,11 @@ def _probe(folder: Path) -> None:
         probe.unlink(missing_ok=True)
 
 
+def no_file(path: Path) -> str:
+    """Return in words what is where a regular file was expected."""
+    return "is a folder" if path.is_dir() else "not found"
+
+
 def why(error: OSError) -> str:
     """Return in words why the system refused a file."""
     return _REASONS.get(error.errno or 0, error.strerror or "of an unknown system error")

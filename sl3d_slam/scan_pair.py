@@ -34,7 +34,6 @@ class PairRegistrar:
 
     def __init__(self, config: SlamConfig) -> None:
         """Load what the settings' line method needs."""
-        self._matching = config.matching
         self._extractors = [(LineExtractor(config.lines), config.matching)]
         if config.lines.method == "learned":
             geometric = config.lines.model_copy(update={"method": "geometric"})
@@ -44,9 +43,8 @@ class PairRegistrar:
         """Find ``T_target_source`` by lines and clouds."""
         extract_s = 0.0
         for extractor, settings in self._extractors:
-            start_s = time.perf_counter()
-            lines = side_by_side(extractor.extract, source, target)
-            extract_s += time.perf_counter() - start_s
+            lines, seconds = _lines_of(extractor, source, target)
+            extract_s += seconds
             registration = register_lines(*lines, (source, target), settings)
             if registration.success:
                 break
@@ -54,10 +52,18 @@ class PairRegistrar:
 
     def register_by_lines(self, source: Points, target: OtherPoints) -> PairAnswer:
         """Find ``T_target_source`` by the lines of the settings' method alone."""
-        start_s = time.perf_counter()
-        lines = side_by_side(self._extractors[-1][0].extract, source, target)
-        extract_s = time.perf_counter() - start_s
-        return PairAnswer(register_lines(*lines, settings=self._matching), lines, extract_s)
+        extractor, settings = self._extractors[-1]
+        lines, extract_s = _lines_of(extractor, source, target)
+        return PairAnswer(register_lines(*lines, settings=settings), lines, extract_s)
+
+
+def _lines_of(
+    extractor: LineExtractor, source: Points, target: OtherPoints
+) -> tuple[tuple[LineSet, LineSet], float]:
+    """Return the lines of both scans, and the seconds they took."""
+    start_s = time.perf_counter()
+    lines = side_by_side(extractor.extract, source, target)
+    return lines, time.perf_counter() - start_s
 
 
 def _sure(matching: MatchingSettings) -> MatchingSettings:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from sl3d_slam.errors import InputError
+from sl3d_slam.files import no_file
 from sl3d_slam.geometry.se3 import Points
 
 MAX_SCAN_BYTES = 1024**3
@@ -37,8 +38,7 @@ def read_bytes(path: Path, expected: str) -> bytes:
     """Return the content of a regular, non-empty file of bounded size. Raises InputError."""
     try:
         if not path.is_file():
-            found = "is a folder" if path.is_dir() else "not found"
-            raise InputError(f"{path}: {found}; expected {expected}")
+            raise InputError(f"{path}: {no_file(path)}; expected {expected}")
         size = path.stat().st_size
         if size == 0:
             raise InputError(f"{path}: is empty; expected {expected}")

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sl3d_slam.errors import InputError
+from sl3d_slam.files import no_file
 
 MAX_TEXT_BYTES = 256 * 1024 * 1024
 
@@ -14,8 +15,7 @@ def read_text(path: Path, expected: str) -> str:
     """Return the text of a file; ``expected`` says in the error what the file should have been."""
     try:
         if not path.is_file():
-            found = "is a folder" if path.is_dir() else "not found"
-            raise InputError(f"{path}: {found}; expected {expected}")
+            raise InputError(f"{path}: {no_file(path)}; expected {expected}")
         if path.stat().st_size > MAX_TEXT_BYTES:
             raise InputError(f"{path}: larger than {MAX_TEXT_BYTES} bytes; expected {expected}")
         return path.read_text(encoding="utf-8")

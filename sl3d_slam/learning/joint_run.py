@@ -28,7 +28,8 @@ VALIDATION, PREPARED = "validation.csv", "prepared"
 class JointPlan:
     """What to train on and with.
 
-    ``singles`` are folders of scans of unrelated places, labelled by ``start``.
+    ``singles`` are folders of scans of unrelated places, labelled by ``start`` or, without it, by
+    geometry.
     ``start`` are weights to start from, ``held_out`` drives to look at and never to learn from;
     ``stop`` is the step to leave the run at, as if it were killed there; ``threads`` are those of
     one process.

@@ -1,4 +1,4 @@
-"""Scans of unrelated places made ready for training, their lines told by an earlier network."""
+"""Scans of unrelated places made ready for training: a network or geometry tells their lines."""
 
 import hashlib
 import json
