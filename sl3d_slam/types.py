@@ -81,6 +81,8 @@ class LineSet:
     num_points : (L,) int64, how many points of the scan support each line.
     kinds : (L,) uint8, values of :class:`LineKind`; all UNKNOWN unless given.
     scores : (L,) float32 in [0, 1], the extractor's confidence; all 1 unless given.
+    up : (3,) unit vector, the way up by which "standing" was judged; None where nobody says.
+    ground_up : (3,) unit normal of the ground around the sensor; None where nobody says.
     """
 
     endpoints: Float64[np.ndarray, "L 2 3"]
@@ -88,6 +90,8 @@ class LineSet:
     num_points: Int64[np.ndarray, "L"]
     kinds: UInt8[np.ndarray, "L"] = field(default_factory=_not_given)
     scores: Float32[np.ndarray, "L"] = field(default_factory=_not_given)
+    up: Float64[np.ndarray, "3"] | None = None
+    ground_up: Float64[np.ndarray, "3"] | None = None
 
     def __post_init__(self) -> None:
         """Fill the columns that were not given and check that all have one row a line."""
@@ -112,11 +116,18 @@ class LineSet:
             self.num_points[indices],
             self.kinds[indices],
             self.scores[indices],
+            self.up,
+            self.ground_up,
         )
 
     def transformed(self, T_a_b: Transform) -> "LineSet":
         """Express lines given in frame b in frame a."""
-        return replace(self, endpoints=transform_segments(T_a_b, self.endpoints))
+        return replace(
+            self,
+            endpoints=transform_segments(T_a_b, self.endpoints),
+            up=None if self.up is None else T_a_b[:3, :3] @ self.up,
+            ground_up=None if self.ground_up is None else T_a_b[:3, :3] @ self.ground_up,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,7 +23,9 @@ class LineExtractor:
     Deterministic, and tied to no sensor: only the coordinates count, not their order. Poles, posts
     and trunks are narrow columns (LineKind.POLE; the line is the axis behind the visible front).
     Standing edges are where two walls meet or one truly ends (LineKind.VERTICAL_EDGE). "Standing"
-    is meant against the ground around the sensor, which may be tilted by up to 25 degrees.
+    is meant along gravity as most of what stands shows it, or, where too little does or it agrees
+    with the ground to a degree, against the ground around the sensor, which may be tilted by up to
+    25 degrees. The lines say which way is ``up``.
 
     With ``settings.method`` "geometric" local structure alone decides, and lines are described by a
     small hand-made descriptor. With "learned" the network of ``settings.weights`` (or the one

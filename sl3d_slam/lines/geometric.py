@@ -32,6 +32,8 @@ def geometric_lines(points_lidar: Points, settings: LineSettings) -> LineSet:
         num_points=np.array([uprights[i].num_points for i in order], np.int64),
         kinds=np.array([kinds[i] for i in order], np.uint8),
         scores=np.array([uprights[i].score for i in order], np.float32),
+        up=scene.up,
+        ground_up=scene.ground_up,
     )
 
 

@@ -54,6 +54,8 @@ def learned_lines(points_lidar: Points, settings: LineSettings, network: Network
         num_points=np.array([uprights[i].num_points for i in order], np.int64),
         kinds=np.array([kinds[i] for i in order], np.uint8),
         scores=scores[order].astype(np.float32),
+        up=scene.up,
+        ground_up=scene.ground_up,
     )
 
 

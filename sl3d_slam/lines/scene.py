@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from sl3d_slam.config import LineSettings
+from sl3d_slam.geometry.gravity import gravity_up
 from sl3d_slam.geometry.ground import UP, heights_above_ground, up_direction
 from sl3d_slam.geometry.se3 import Points, rotation_between
 from sl3d_slam.lines.grid import cell_index, gathered, rows_in_square, voxel_means
@@ -18,10 +19,12 @@ CLEARANCE_M = 0.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A scan in the level frame: the sensor's origin, z against gravity as seen from the ground.
+    """A scan in the level frame: the sensor's origin, z against gravity.
 
     Attributes
     ----------
+    up : (3,) the way up in the lidar frame.
+    ground_up : (3,) the normal of the ground around the sensor in the lidar frame.
     R_level_lidar : rotation to the level frame.
     points : (N, 3) voxel means above the ground.
     heights : (N,) metres above the local ground.
@@ -34,6 +37,8 @@ class Scene:
     half_width_m : half the side of the indexed square.
     """
 
+    up: Float64[np.ndarray, "3"]
+    ground_up: Float64[np.ndarray, "3"]
     R_level_lidar: Float64[np.ndarray, "3 3"]
     points: Points
     heights: Float64[np.ndarray, "N"]
@@ -66,9 +71,10 @@ def make_scene(points_lidar: Points, settings: LineSettings) -> Scene:
     means, counts, members, start = voxel_means(
         points_lidar, settings.voxel_size_m, MIN_RANGE_M, settings.max_range_m
     )
-    up = up_direction(means)
+    ground_up = up_direction(means)
+    heights = heights_above_ground(means, ground_up)
+    up = gravity_up(means, heights, ground_up)
     R_level_lidar = rotation_between(up, UP)
-    heights = heights_above_ground(means, up)
     kept = np.flatnonzero(heights > CLEARANCE_M)
     level = means[kept] @ R_level_lidar.T
     order, cell_start = cell_index(level, CELL_M, settings.max_range_m)
@@ -77,6 +83,8 @@ def make_scene(points_lidar: Points, settings: LineSettings) -> Scene:
     columns = np.ascontiguousarray(level.T)
     slab = 0.5 + 0.015 * np.linalg.norm(level, axis=1)
     return Scene(
+        up=up,
+        ground_up=ground_up,
         R_level_lidar=R_level_lidar,
         points=level,
         heights=heights[kept],

@@ -4,7 +4,7 @@ from functools import cached_property
 
 import numpy as np
 import small_gicp
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 
 from sl3d_slam.config import MatchingSettings
 from sl3d_slam.geometry.facing import faces_its_beam
@@ -37,6 +37,14 @@ class PreparedView:
     def T_level_lidar(self) -> Transform:
         """The turn that makes the frame level."""
         return levelling(self.view.up)
+
+    @cached_property
+    def slope(self) -> Float64[np.ndarray, "2"] | None:
+        """How much the ground rises a metre along x and y of the levelled frame; lines say."""
+        if self.view.lines.ground_up is None:
+            return None
+        normal = self.T_level_lidar[:3, :3] @ self.view.lines.ground_up
+        return -normal[:2] / normal[2]
 
     @cached_property
     def verticals(self) -> Verticals:
@@ -112,13 +120,19 @@ def lift(source: PreparedView, target: PreparedView, pose: np.ndarray) -> Transf
     """Turn a planar pose (yaw, x, y) of levelled frames into ``T_target_source``.
 
     The ground gives the height: the source's own ground is laid on the target's there, or, where
-    the target hardly sees any there, all ground that both see. (A few far returns are no ground:
-    on drive 05 they put poses 40 m away up to 2.8 m too high.)
+    the target hardly sees any there, all ground that both see; without clouds the slopes that lines
+    come with. (A few far returns are no ground: on drive 05 they put poses 40 m away up to 2.8 m
+    too high.)
     """
     yaw_rad, x_m, y_m = (float(value) for value in pose)
     theirs, own = target.ground_height_m(x_m, y_m), source.ground_height_m(0.0, 0.0)
-    flat = from_yaw(yaw_rad, np.array([x_m, y_m, 0.0]))
-    rise_m = common_rise_m(source, target, flat) if theirs is None or own is None else theirs - own
+    if len(source.street) == 0 or len(target.street) == 0:
+        rise_m = slope_rise_m(source, target, pose)
+    elif theirs is None or own is None:
+        flat = from_yaw(yaw_rad, np.array([x_m, y_m, 0.0]))
+        rise_m = common_rise_m(source, target, flat)
+    else:
+        rise_m = theirs - own
     T_levels = from_yaw(yaw_rad, np.array([x_m, y_m, rise_m]))
     return invert(target.T_level_lidar) @ T_levels @ source.T_level_lidar
 
@@ -130,6 +144,17 @@ def common_rise_m(source: PreparedView, target: PreparedView, T_levels: Transfor
     gaps_m = target.street_raster[cells[:, 0], cells[:, 1]] - moved[inside, 2]
     gaps_m = gaps_m[np.isfinite(gaps_m)]
     return float(np.median(gaps_m)) if len(gaps_m) >= MIN_GROUND_POINTS else 0.0
+
+
+def slope_rise_m(source: PreparedView, target: PreparedView, pose: np.ndarray) -> float:
+    """Return how much higher the ground is at the source, by the slopes at both ends; 0 without.
+
+    Their mean is that of a parabola; where one is not known, the other is taken for both.
+    """
+    way_back = field.invert_poses(pose[None])[0, 1:]
+    ends = ((target.slope, pose[1:]), (source.slope, -way_back))
+    rises_m = [float(slope @ way) for slope, way in ends if slope is not None]
+    return sum(rises_m) / max(1, len(rises_m))
 
 
 def _cells(points_level: Points) -> tuple[np.ndarray, np.ndarray]:

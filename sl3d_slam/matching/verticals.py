@@ -41,10 +41,12 @@ class Verticals:
 
 
 def up_of_lines(lines: LineSet) -> Float64[np.ndarray, "3"]:
-    """Return the direction that most lines share, by length, among those near z; z without any.
+    """Return the way up that lines come with, or else the direction that most share, by length.
 
-    The way up for a line set that comes without its cloud.
+    Of those near z; z without any. The way up for a line set that comes without its cloud.
     """
+    if lines.up is not None:
+        return lines.up
     axes = directions(lines.endpoints)
     axes = axes * np.where(axes[:, 2:] < 0, -1.0, 1.0)
     near = axes[:, 2] > np.cos(MAX_TILT_RAD)

@@ -27,9 +27,10 @@ class PackedView:
 
 def make_view(points_lidar: Points, lines: LineSet, voxel_m: float) -> View:
     """Keep what matching needs of a scan; the cloud has one point a voxel, within 70 m."""
-    up = up_direction(points_lidar)
+    ground_up = up_direction(points_lidar) if lines.ground_up is None else lines.ground_up
     cloud = coarse_cloud(points_lidar, voxel_m)
-    heights = heights_above_ground(cloud.astype(np.float64), up)
+    heights = heights_above_ground(cloud.astype(np.float64), ground_up)
+    up = ground_up if lines.up is None else lines.up
     return View(lines, up, cloud, heights.astype(np.float32))
 
 
