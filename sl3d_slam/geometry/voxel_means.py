@@ -7,9 +7,7 @@ from jaxtyping import Float64
 from numba import njit
 
 from sl3d_slam.geometry.se3 import Points
-
-HALF_RANGE = 1 << 20  # voxels along each axis: 21 bits
-MULTIPLIER = 0x9E3779B97F4A7C1
+from sl3d_slam.geometry.voxel_table import new_table, slot_of, voxel_key
 
 
 def voxel_means(points: Points, voxel_m: float, max_range_m: float) -> Float64[np.ndarray, "V 3"]:
@@ -28,46 +26,17 @@ def first_in_voxels(points: Points, voxel_m: float) -> Float64[np.ndarray, "V 3"
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _key(x: float, y: float, z: float, voxel_m: float) -> int:
-    """Return a number that tells voxels apart, in the order of x, then y, then z."""
-    ix = np.int64(np.floor(x / voxel_m)) + HALF_RANGE
-    iy = np.int64(np.floor(y / voxel_m)) + HALF_RANGE
-    iz = np.int64(np.floor(z / voxel_m)) + HALF_RANGE
-    return (ix << 42) | (iy << 21) | iz
-
-
-@njit(cache=True, nogil=True)
-@no_type_check
-def _new_table(num_points: int) -> np.ndarray:
-    size = 1
-    while size < 2 * num_points:
-        size *= 2
-    return np.full(size, -1, np.int32)
-
-
-@njit(cache=True, nogil=True)
-@no_type_check
-def _slot(table: np.ndarray, keys: np.ndarray, key: int) -> int:
-    """Return where a key is in the table, or where it belongs."""
-    slot = (key * MULTIPLIER >> 20) & (len(table) - 1)
-    while table[slot] >= 0 and keys[table[slot]] != key:
-        slot = (slot + 1) & (len(table) - 1)
-    return slot
-
-
-@njit(cache=True, nogil=True)
-@no_type_check
 def _firsts(points: np.ndarray, voxel_m: float) -> np.ndarray:
     """Return the index of the first point in each voxel."""
-    table = _new_table(len(points))
+    table = new_table(len(points))
     keys, firsts = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
     voxels, last = 0, -1
     for i in range(len(points)):
-        key = _key(points[i, 0], points[i, 1], points[i, 2], voxel_m)
+        key = voxel_key(points[i, 0], points[i, 1], points[i, 2], voxel_m)
         if key == last:  # the next point of a beam, most often
             continue
         last = key
-        slot = _slot(table, keys, key)
+        slot = slot_of(table, keys, key)
         if table[slot] < 0:
             table[slot], keys[voxels], firsts[voxels] = voxels, key, i
             voxels += 1
@@ -78,15 +47,15 @@ def _firsts(points: np.ndarray, voxel_m: float) -> np.ndarray:
 @no_type_check
 def _means(points: np.ndarray, voxel_m: float, max_range_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Return a key and the mean of each voxel, in the order in which points touch them."""
-    table = _new_table(len(points))
+    table = new_table(len(points))
     keys, sums = np.empty(len(points), np.int64), np.empty((len(points), 4))
     voxels = 0
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         if not x * x + y * y + z * z < max_range_m * max_range_m:
             continue
-        key = _key(x, y, z, voxel_m)
-        slot = _slot(table, keys, key)
+        key = voxel_key(x, y, z, voxel_m)
+        slot = slot_of(table, keys, key)
         if table[slot] < 0:
             table[slot], keys[voxels] = voxels, key
             sums[voxels] = 0.0

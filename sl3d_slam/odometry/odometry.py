@@ -3,8 +3,7 @@
 Hazards of the library that this file meets: its deskewing aborts the process when all point
 times are equal; and its threads add up sums in a different order from run to run, which changes
 the last bits of a pose. Each pose is therefore rounded to a grid far below the sensor's noise
-before it is used, so that two runs agree bit for bit. small_gicp's second thread waits by spinning,
-which costs more than it gains beside other work: one is used. The last hazard is the second scan:
+before it is used, so that two runs agree bit for bit. The last hazard is the second scan:
 with no velocity known, a moving vehicle's scan rings on the ground hold ICP at standstill (measured
 on a KITTI drive at 14 m/s: 0.06 m found, 1.44 m true), so that one is tried from several starts.
 """
@@ -25,16 +24,15 @@ from sl3d_slam.config import InputSettings, OdometrySettings
 from sl3d_slam.geometry.se3 import (
     Points,
     Transform,
-    distance_m,
     invert,
     make_transform,
-    rotation_angle_rad,
     transform_points,
 )
 from sl3d_slam.geometry.voxel_means import first_in_voxels
 from sl3d_slam.odometry.kiss_settings import kiss_config, with_step
 from sl3d_slam.odometry.noise import Matrix6, pose_covariance
-from sl3d_slam.odometry.starts import mean_gap_m, start_positions
+from sl3d_slam.odometry.starts import mean_gap_m, standing_points, start_positions
+from sl3d_slam.odometry.surface_map import SurfaceMap
 from sl3d_slam.odometry.surfaces import surfaces_of
 from sl3d_slam.types import RegisteredScan, Scan
 
@@ -43,10 +41,6 @@ QUATERNION_GRID = 1e-7
 COARSE_STEP_M = 0.02
 COARSE_SOURCE_VOXELS = 2.0
 SOURCE_VOXELS = 1.5
-SURFACE_VOXEL_M = 1.0
-SURFACE_MEMORY_SCANS = 150
-SETTLED_M = 0.2  # surfaces that move a pose by more were led to the wrong place
-SETTLED_RAD = np.radians(1.0)
 START_GAIN = 0.95
 
 
@@ -67,8 +61,7 @@ class Odometry:
         self._local_map = get_voxel_hash_map(config)
         self._T_odom_last: Transform = np.eye(4)
         self._T_last_next: Transform = np.eye(4)
-        self._surfaces = small_gicp.GaussianVoxelMap(SURFACE_VOXEL_M)
-        self._surfaces.set_lru(horizon=SURFACE_MEMORY_SCANS, clear_cycle=10)
+        self._surfaces = SurfaceMap()
         self._refines = settings.refine_on_surfaces
         self._covariance: Matrix6 | None = None  # of the last pose that surfaces refined
         self._first_points: Points | None = None
@@ -116,7 +109,7 @@ class Odometry:
         if self._first_points is None:
             return self._align(source, surfaces, guess)
         first = cKDTree(self._first_points)
-        return self._best_of_starts(source, surfaces, map_points, first)
+        return self._best_of_starts(source, surfaces, standing_points(map_points), first)
 
     def _align(
         self, source: Points, surfaces: small_gicp.PointCloud | None, guess: Transform
@@ -130,7 +123,7 @@ class Odometry:
     def _can_refine(
         self, surfaces: small_gicp.PointCloud | None
     ) -> TypeGuard[small_gicp.PointCloud]:
-        return surfaces is not None and surfaces.size() > 0 and self._surfaces.size() > 0
+        return surfaces is not None and surfaces.size() > 0 and self._surfaces.num_voxels > 0
 
     def _refine(
         self, surfaces: small_gicp.PointCloud, T_odom_led: Transform
@@ -139,17 +132,11 @@ class Odometry:
 
         The scan rings on the ground move with the sensor: point-to-point matches let them hold it
         back, most where it creeps or turns and the adaptive threshold is wide. Matched as surfaces
-        (voxelised GICP, Koide et al., ICRA 2021) rings only fix the height.
+        rings only fix the height.
         """
-        refined = small_gicp.align(
-            self._surfaces, surfaces, init_T_target_source=T_odom_led, num_threads=1
-        )
-        T_odom_lidar = np.asarray(refined.T_target_source)
-        misfit = refined.error / max(1, refined.num_inliers)
-        self._covariance = pose_covariance(np.asarray(refined.H), float(misfit))
-        moved = invert(T_odom_led) @ T_odom_lidar
-        near = distance_m(moved) < SETTLED_M and rotation_angle_rad(moved) < SETTLED_RAD
-        return T_odom_lidar, bool(refined.converged and near)
+        found = self._surfaces.align(surfaces, T_odom_led)
+        self._covariance = pose_covariance(found.hessian, found.misfit)
+        return found.T_map_lidar, found.settled
 
     def _align_within(
         self, registration: Registration, source: Points, guess: Transform
@@ -167,14 +154,14 @@ class Odometry:
         self,
         source: Float64[np.ndarray, "S 3"],
         surfaces: small_gicp.PointCloud | None,
-        points: Points,
+        standing: Points,
         first: cKDTree,
     ) -> Transform:
         """Align from standstill and from steps in four directions; standstill wins near ties."""
         best, best_gap_m = np.eye(4), np.inf
         for step in start_positions():
             T_odom_lidar = self._align(source, surfaces, make_transform(np.eye(3), step))
-            gap_m = mean_gap_m(transform_points(T_odom_lidar, points), first)
+            gap_m = mean_gap_m(transform_points(T_odom_lidar, standing), first)
             if gap_m < START_GAIN * best_gap_m:
                 best, best_gap_m = T_odom_lidar, gap_m
         return best

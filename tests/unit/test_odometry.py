@@ -165,5 +165,5 @@ def test_second_scan_is_not_held_by_the_rings_on_the_ground():
     odometry = Odometry(OdometrySettings(), INPUT)
     odometry.register(Scan(0, 0.0, street_of_rings(np.eye(4), np.random.default_rng(10))))
     result = odometry.register(Scan(1, 0.1, street_of_rings(pose, np.random.default_rng(10))))
-    # from standstill alone 0.35 m are found; with two scans in 1 m voxels, 0.06 m remain
-    assert distance_m(invert(pose) @ result.T_odom_lidar) < 0.15
+    # from standstill the rings leave nothing to be found; a start two metres on finds millimetres
+    assert distance_m(invert(pose) @ result.T_odom_lidar) < 0.02
