@@ -3,12 +3,13 @@
 import numpy as np
 from jaxtyping import Float64
 
+from sl3d_slam.geometry.surface_fit import LOOSE
+
 Matrix6 = Float64[np.ndarray, "6 6"]
 
 COVARIANCE_SCALE = 0.03
 USUAL_MISFIT = 0.1
 MISFIT_LIMITS = (0.05, 0.4)
-LOOSE = np.diag(np.repeat([1e2, 1.0], 3))  # 0.1 rad and 1 m: where a scan shows nothing at all
 LEAST_SIGMAS = np.array([0.0, 0.0, np.radians(0.00025), 1e-4, 1e-4, 1e-4])
 GRID = np.repeat([1e-6, 1e-5], 3)  # rad, m: the covariance is rounded as the pose is
 

@@ -135,8 +135,8 @@ class Odometry:
         rings only fix the height.
         """
         found = self._surfaces.align(surfaces, T_odom_led)
-        self._covariance = pose_covariance(found.hessian, found.misfit)
-        return found.T_map_lidar, found.settled
+        self._covariance = pose_covariance(found.fit.hessian, found.fit.misfit)
+        return found.fit.T_target_source, found.settled
 
     def _align_within(
         self, registration: Registration, source: Points, guess: Transform

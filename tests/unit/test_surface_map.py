@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from sl3d_slam.geometry import surface_fit
+from sl3d_slam.geometry.robust_gicp import FLATNESS, normal_equations, voxels_of
 from sl3d_slam.geometry.se3 import distance_m, exp, invert, rotation_angle_rad, transform_points
-from sl3d_slam.odometry import surface_map
-from sl3d_slam.odometry.robust_gicp import FLATNESS, normal_equations, voxels_of
 from sl3d_slam.odometry.surface_map import SurfaceMap
 from sl3d_slam.odometry.surfaces import surfaces_of
 
@@ -115,13 +115,13 @@ def step_into_traffic(rng):
         surfaces.insert(surfaces_of(street(invert(POSE) @ pose, rng, cars_at)), pose)
         pose, cars_at = pose @ STEP, cars_at @ slip
     seen = surfaces_of(street(invert(POSE) @ pose, rng, cars_at))
-    return invert(pose) @ surfaces.align(seen, pose).T_map_lidar
+    return invert(pose) @ surfaces.align(seen, pose).fit.T_target_source
 
 
 def test_cars_that_drive_along_do_not_pull(monkeypatch):
     robust = distance_m(step_into_traffic(np.random.default_rng(1)))
-    monkeypatch.setattr(surface_map, "LAST_WIDTH", 1e9)
-    monkeypatch.setattr(surface_map, "FIRST_WIDTH", 1e9)
+    monkeypatch.setattr(surface_fit, "LAST_WIDTH", 1e9)
+    monkeypatch.setattr(surface_fit, "FIRST_WIDTH", 1e9)
     pulled = distance_m(step_into_traffic(np.random.default_rng(1)))
     # noise of 15 mm on thousands of points leaves millimetres; without a kernel, cars centimetres
     assert robust < 0.006
@@ -135,10 +135,11 @@ def test_a_lead_some_decimetres_off_is_put_right(lead, rng):
     true = POSE @ STEP
     led = true @ exp(np.array([0, 0, np.radians(lead[3]), *lead[:3]]))
     found = surfaces.align(surfaces_of(street(STEP, rng)), led)
-    error = invert(true) @ found.T_map_lidar
+    T_map_lidar = found.fit.T_target_source
+    error = invert(true) @ T_map_lidar
     assert distance_m(error) < 0.02
     assert rotation_angle_rad(error) < np.radians(0.1)
-    moved_m = distance_m(invert(led) @ found.T_map_lidar)
+    moved_m = distance_m(invert(led) @ T_map_lidar)
     assert found.settled == (moved_m < 0.2)
 
 
@@ -147,6 +148,6 @@ def test_surfaces_that_meet_nothing_stay_where_they_were_led(rng):
     surfaces.insert(surfaces_of(street(np.eye(4), rng)), POSE)
     far = POSE @ exp(np.array([0, 0, 0, 0, 500.0, 0]))
     found = surfaces.align(surfaces_of(street(np.eye(4), rng)), far)
-    np.testing.assert_allclose(found.T_map_lidar, far, atol=1e-9)
+    np.testing.assert_allclose(found.fit.T_target_source, far, atol=1e-9)
     assert not found.settled
-    assert found.misfit == 0.0
+    assert (found.fit.misfit, found.fit.support) == (0.0, 0.0)
