@@ -101,14 +101,14 @@ def weigh(
     settings: MatchingSettings,
 ) -> Evidence:
     """Hold both sides of a refined pose against each other."""
-    T_target_source = aligned.T_target_source
+    T_target_source = aligned.fit.T_target_source
     T_levels = target.T_level_lidar @ T_target_source @ invert(source.T_level_lidar)
     seen = visibility.compare(target.image, source.level_structure, T_levels)
     seen = seen + visibility.compare(source.image, target.level_structure, invert(T_levels))
     correction = invert(T_guess) @ T_target_source
     return Evidence(
         T_target_source=T_target_source,
-        information=dense.information_of(aligned),
+        information=dense.information_of(aligned.fit),
         correction_m=distance_m(correction),
         correction_rad=rotation_angle_rad(correction),
         overlap=aligned.overlap,

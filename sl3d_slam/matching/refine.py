@@ -55,7 +55,7 @@ def align_near(
         max_correspondence_distance=REACH_M,
         max_iterations=MAX_STEPS,
     )
-    return dense.alignment_of(result, moving.size())
+    return dense.finish(target, moving, result)
 
 
 def _weighted_fit(

@@ -79,7 +79,7 @@ def test_gicp_ends_within_centimetres_from_where_lines_leave_it(rng):
     T_true = invert(T_room_target) @ T_room_source
     guess = T_true @ from_yaw(np.radians(0.5), np.array([0.15, -0.1, 0.05]))
     aligned = align_near(target, source, guess)
-    off = invert(T_true) @ aligned.T_target_source
+    off = invert(T_true) @ aligned.fit.T_target_source
     assert distance_m(off) < 0.03  # noise of 2 cm on thousands of points; voxels add a little
     assert np.degrees(rotation_angle_rad(off)) < 0.1
     assert aligned.overlap > 0.8
