@@ -86,7 +86,7 @@ def refined(source: SeenScan, target: SeenScan, T_target_source: Transform) -> T
     fixed, moving = prepare(target.cloud), thin(source.cloud)
     if fixed is None or moving is None:
         return T_target_source
-    T_refined = align(fixed, moving, T_target_source).T_target_source
+    T_refined = align(fixed, moving, T_target_source).fit.T_target_source
     T_change = invert(T_target_source) @ T_refined
     near = distance_m(T_change) < MAX_CORRECTION_M
     return (
