@@ -21,9 +21,9 @@ THREADS = 2
 STAGES = ((3.0, 2.0), (0.6, 0.7))
 UNITS = np.repeat([np.radians(0.015), 0.01], 3)  # a step of each that moves a scan about equally
 # Calibrated on simulated drives, see information_of
-COVARIANCE_SCALE = 0.05
+COVARIANCE_SCALE = 0.042
 USUAL_MISFIT, LEAST_MISFIT = 0.15, 0.05
-MIN_SIGMAS = np.repeat([np.radians(0.001), 3e-4], 3)
+MIN_SIGMAS = np.array([*np.radians([0.01, 0.01, 0.003]), 5e-4, 5e-4, 5e-4])
 LITTLE_SUPPORT, LEAST_SUPPORT = 0.18, 0.02  # where so little lies well the covariance has doubled
 # GICP's surfaces hold a little along themselves, too (1 to 1,000): a bare corridor reaches 0.0024
 # of the best-held direction, a street slid by 4 m 0.0038, true pairs 25 m apart on real streets
@@ -114,8 +114,9 @@ def information_of(fit: SurfaceFit) -> Float64[np.ndarray, "6 6"]:
     """Return the calibrated information of an alignment (rotation first, source frame).
 
     The Hessian H takes every point as independent and every surface as flat. The covariance is
-    ``COVARIANCE_SCALE (misfit / USUAL_MISFIT)^2 H^-1``, growing with the sixth power of the support
-    as it falls (views that share little share what both see at a slant), and least variances.
+    ``COVARIANCE_SCALE (misfit / USUAL_MISFIT)^2 H^-1``, growing with the fourth power of the
+    support as it falls (views that share little share what both see at a slant), and least
+    variances.
     Directions that no point fixes stay exactly zero.
     """
     values, vectors = np.linalg.eigh(fit.hessian * np.outer(UNITS, UNITS))
@@ -123,7 +124,7 @@ def information_of(fit: SurfaceFit) -> Float64[np.ndarray, "6 6"]:
     basis = vectors[:, fixed]
     least = (basis.T * (MIN_SIGMAS / UNITS) ** 2) @ basis
     misfit = max(fit.misfit, LEAST_MISFIT) / USUAL_MISFIT
-    growth = misfit**2 * (1.0 + (LITTLE_SUPPORT / max(fit.support, LEAST_SUPPORT)) ** 6)
+    growth = misfit**2 * (1.0 + (LITTLE_SUPPORT / max(fit.support, LEAST_SUPPORT)) ** 4)
     covariance = COVARIANCE_SCALE * growth * np.diag(1.0 / values[fixed]) + least
     information = basis @ np.linalg.inv(covariance) @ basis.T
     return 0.5 * (information + information.T) / np.outer(UNITS, UNITS)
