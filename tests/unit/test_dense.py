@@ -136,17 +136,17 @@ def test_a_coarse_cloud_has_one_mean_a_voxel_and_nothing_far(rng):
 
 
 def test_surfaces_that_lie_badly_on_each_other_say_less():
-    hessian = np.diag([1e6] * 3 + [1e4] * 3)
+    hessian = np.diag([1e4] * 3 + [1e3] * 3)
     good, bad = (information_of(fit_of(hessian, misfit=misfit)) for misfit in (0.1, 0.2))
     np.testing.assert_allclose(np.diag(good / bad), 4.0, rtol=0.05)
 
 
 def test_views_that_share_little_say_less():
-    hessian = np.diag([1e6] * 3 + [1e4] * 3)
+    hessian = np.diag([1e4] * 3 + [1e3] * 3)
     much, half, little = (
         np.diag(information_of(fit_of(hessian, support=support))) for support in (0.5, 0.25, 0.1)
     )
-    assert np.all(half > 0.85 * much)
+    assert np.all(half > 0.75 * much)
     assert np.all(little < 0.25 * much)
 
 
