@@ -42,6 +42,8 @@ def children_peak_mb() -> float:
 
 def _private_peak_mb(process: int) -> float:
     kb = _status_kb(process)
+    if "VmHWM" not in kb:  # it has ended and waits to be collected
+        return 0.0
     return 1024 * (kb["VmHWM"] - kb["RssFile"] - kb["RssShmem"]) / 1e6
 
 

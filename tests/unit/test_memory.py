@@ -1,5 +1,6 @@
 """How much memory a process holds is its own, whatever its parent held."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -39,3 +40,13 @@ def test_a_child_counts_with_what_is_its_own_and_at_its_most():
         child.communicate(b"\n")
     assert 195 < held < 230
     assert children_peak_mb() == pytest.approx(before, abs=5)
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux's /proc")
+def test_a_child_that_has_ended_holds_nothing():
+    before_mb = children_peak_mb()
+    child = subprocess.Popen([sys.executable, "-c", ""])
+    os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT)  # ended, not yet collected
+    ended_mb = children_peak_mb()
+    child.wait()
+    assert ended_mb == before_mb
