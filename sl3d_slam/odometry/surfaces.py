@@ -6,7 +6,7 @@ from sl3d_slam.geometry.facing import faces_its_beam
 from sl3d_slam.geometry.se3 import Points
 
 SAMPLING_M = 0.5
-NEIGHBOURS = 8
+NEIGHBOURS = 10
 
 
 def surfaces_of(points_lidar: Points) -> small_gicp.PointCloud:
