@@ -6,6 +6,7 @@ from sl3d_slam.cli.errors import Verbs
 from sl3d_slam.cli.train_calibrate import calibrate
 from sl3d_slam.cli.train_joint import joint
 from sl3d_slam.cli.train_label import label
+from sl3d_slam.cli.train_surroundings import surroundings
 from sl3d_slam.cli.train_synthetic import synthetic
 from sl3d_slam.cli.train_towns import towns
 
@@ -19,4 +20,5 @@ train.command("synthetic")(synthetic)
 train.command("label")(label)
 train.command("joint")(joint)
 train.command("calibrate")(calibrate)
+train.command("surroundings")(surroundings)
 train.command("towns")(towns)

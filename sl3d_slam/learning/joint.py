@@ -130,9 +130,14 @@ def learning_rate(step: int, settings: JointSettings) -> float:
 
     The paper halves it every 15 of 120 epochs, to 1/128 at the end: the same fall in steps.
     """
-    rise = min(1.0, (step + 1) / max(settings.warmup_steps, 1))
-    fall = 0.5 * (1.0 + math.cos(math.pi * step / settings.steps))
-    return settings.learning_rate * rise * (0.01 + 0.99 * fall)
+    return settings.learning_rate * share_of_rate(step, settings.steps, settings.warmup_steps)
+
+
+def share_of_rate(step: int, steps: int, warmup_steps: int) -> float:
+    """Return the share of the highest rate that a step of so many is given."""
+    rise = min(1.0, (step + 1) / max(warmup_steps, 1))
+    fall = 0.5 * (1.0 + math.cos(math.pi * step / steps))
+    return rise * (0.01 + 0.99 * fall)
 
 
 def write_curves(path: Path, rows: Sequence[Sequence[float | int]]) -> None:

@@ -17,6 +17,7 @@ from sl3d_slam.learning.parallel import Team, joined_team
 from sl3d_slam.learning.prepare import find_sources, prepare_drive
 from sl3d_slam.learning.prepared import PreparedDrive
 from sl3d_slam.learning.single_scans import prepare_singles
+from sl3d_slam.learning.surroundings import without_surroundings
 from sl3d_slam.lines.network.model import SuperLine3D
 from sl3d_slam.lines.network.settings import NetworkSettings
 from sl3d_slam.lines.network.weights_file import load_weights
@@ -111,7 +112,7 @@ def start_model(
 ) -> SuperLine3D:
     """Return a new network drawn from the seed, or the one of a weights file, and its settings."""
     if start is not None:
-        return load_weights(start)
+        return without_surroundings(load_weights(start))
     torch.manual_seed(settings.seed)
     return SuperLine3D(network)
 

@@ -93,7 +93,7 @@ def prepare_drive(
     if kept is not None:
         return kept
     dataset = open_dataset(source.folder, InputSettings())
-    T_world_lidar = _poses(dataset)
+    T_world_lidar = poses_of(dataset)
     if source.labels is None:
         scans = _scans_by_landmarks(dataset, T_world_lidar, network, progress)
     else:
@@ -115,7 +115,8 @@ def _key(source: DriveSource, network: NetworkSettings) -> str:
     return json.dumps([FORMAT, str(source.folder.resolve()), labels, len(files), newest, fields])
 
 
-def _poses(dataset: Dataset) -> Float64[np.ndarray, "N 4 4"]:
+def poses_of(dataset: Dataset) -> Float64[np.ndarray, "N 4 4"]:
+    """Return the true poses of a simulated drive, of a real one this package's odometry."""
     if dataset.simulated and dataset.truth is not None:
         return dataset.truth
     odometry = Odometry(OdometrySettings(), InputSettings())

@@ -31,7 +31,8 @@ def learned_lines(points_lidar: Points, settings: LineSettings, network: Network
     Candidates are what geometry proposes, whose axes are the most precise, and where it proposes
     nothing the segments grown from the points that the network calls lines; all are fitted on the
     full scan. The network then ranks and describes them: by the mean line probability of the points
-    along each and the fit's score, which count alike, and by their mean descriptor.
+    along each and the fit's score, which count alike, and by their mean descriptor, in which those
+    of the lines around it may take part.
     """
     scene = make_scene(points_lidar, settings)
     points = network_points(scene, network.settings)
@@ -46,10 +47,11 @@ def learned_lines(points_lidar: Points, settings: LineSettings, network: Network
     fits = np.array([upright.score for upright in uprights])
     scores = np.sqrt(fits * _mean_probability(members, inference.probability))
     order = _best_apart(endpoints, scores, settings.max_lines)
+    means = _describe(inference, [members[i] for i in order], network.settings.descriptor_dim)
     return LineSet(
         endpoints=to_lidar(scene, endpoints[order]),
-        descriptors=_describe(
-            inference, [members[i] for i in order], network.settings.descriptor_dim
+        descriptors=network.in_surroundings(
+            means, endpoints[order].mean(axis=1)[:, :2], scores[order]
         ),
         num_points=np.array([uprights[i].num_points for i in order], np.int64),
         kinds=np.array([kinds[i] for i in order], np.uint8),

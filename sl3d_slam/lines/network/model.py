@@ -17,7 +17,7 @@ from sl3d_slam.lines.network.edgeconv import EdgeConv, OffsetConv
 from sl3d_slam.lines.network.feature_space import nearest_in_features
 from sl3d_slam.lines.network.offsets import edge_inputs
 from sl3d_slam.lines.network.settings import LINE, NetworkSettings
-from sl3d_slam.lines.network.shapes import num_inputs
+from sl3d_slam.lines.network.shapes import RINGS, num_inputs
 
 __all__ = ["LINE", "SuperLine3D"]
 
@@ -44,6 +44,7 @@ class SuperLine3D(nn.Module):
         joined = (4 if settings.context else 3) * width
         self.segmentation = _head(joined, width, 2)
         self.descriptor = _head(joined, 2 * width, settings.descriptor_dim)
+        self.surroundings = surroundings_layer(settings) if settings.surroundings else None
 
     def forward(
         self,
@@ -84,6 +85,11 @@ class SuperLine3D(nn.Module):
     def describe(self, encoded: Float32[Tensor, "M E"]) -> Float32[Tensor, "M D"]:
         """Return unit descriptors of encoded points; any subset of them will do."""
         return nn.functional.normalize(self.descriptor(encoded), dim=1)
+
+
+def surroundings_layer(settings: NetworkSettings) -> nn.Linear:
+    """Return a new layer over lines, for what :func:`~.surroundings.heard_around` gives."""
+    return nn.Linear((1 + RINGS) * settings.descriptor_dim, settings.descriptor_dim)
 
 
 def _head(channels_in: int, hidden: int, channels_out: int) -> nn.Sequential:

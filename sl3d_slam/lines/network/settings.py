@@ -18,7 +18,8 @@ class NetworkSettings(Settings):
     that each neighbourhood defines itself, which makes the network blind to the heading.
     ``scale_invariant`` is the first layer of the paper's synthetic stage (Eq. 1 and 3).
     ``context`` joins a wide view, cells of 2 m, to the heads. ``heights`` tells the first block how
-    high a point is above the ground; not with ``scale_invariant``.
+    high a point is above the ground; not with ``scale_invariant``. ``surroundings`` adds a layer
+    in which the mean descriptor of a line hears of the lines around it.
     """
 
     width: int = Field(default=64, ge=4, le=256)
@@ -30,5 +31,6 @@ class NetworkSettings(Settings):
     scale_invariant: bool = False
     context: bool = True
     heights: bool = True
+    surroundings: bool = False
     voxel_size_m: float = Field(default=0.25, gt=0)
     max_points: int = Field(default=20_000, ge=50)

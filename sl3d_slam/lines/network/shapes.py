@@ -4,6 +4,7 @@ from sl3d_slam.lines.network.settings import NetworkSettings
 
 HIDDEN = 16
 EXCHANGES = 2
+RINGS = 5
 
 
 def num_inputs(settings: NetworkSettings) -> int:
@@ -28,7 +29,11 @@ def expected_shapes(settings: NetworkSettings) -> dict[str, tuple[int, ...]]:
             shapes |= _exchange(f"context.exchanges.{exchange}", width)
     shapes |= _layer("segmentation.0", joined, width) | _layer("segmentation.2", width, 2)
     shapes |= _layer("descriptor.0", joined, 2 * width)
-    return shapes | _layer("descriptor.2", 2 * width, settings.descriptor_dim)
+    shapes |= _layer("descriptor.2", 2 * width, settings.descriptor_dim)
+    if settings.surroundings:
+        heard = (1 + RINGS) * settings.descriptor_dim
+        shapes |= _layer("surroundings", heard, settings.descriptor_dim)
+    return shapes
 
 
 def _exchange(name: str, width: int) -> dict[str, tuple[int, ...]]:

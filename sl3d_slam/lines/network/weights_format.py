@@ -60,7 +60,8 @@ def read_about(path: Path | str) -> dict[str, str]:
 
 def hash_of(settings: NetworkSettings, tensors: Tensors) -> str:
     """Return eight hexadecimal digits that stand for a model: its settings and every weight."""
-    digest = hashlib.sha256(settings.model_dump_json().encode())
+    newer = None if settings.surroundings else {"surroundings"}  # models before it keep their names
+    digest = hashlib.sha256(settings.model_dump_json(exclude=newer).encode())
     for name in sorted(tensors):
         digest.update(name.encode() + tensors[name].tobytes())
     return digest.hexdigest()[:8]
