@@ -32,7 +32,7 @@ def test_every_option_of_its_commands_exists(line):
 
 
 def test_its_commands_learn_from_all_towns_and_not_from_those_held_out():
-    assert len(COMMANDS) == 3
+    assert len(COMMANDS) == 4
     last = next(line for line in COMMANDS if "train joint" in line)
     named = set()
     for first, end in re.findall(r"\$T/\{(\d+)\.\.(\d+)\}", last):
