@@ -107,7 +107,7 @@ def _draw_differences(axes: Any, paths: dict[str, Points], at: Float64[np.ndarra
     for name in names:
         error_m = np.linalg.norm(paths[name] - paths[reference], axis=1)
         rmse_m = float(np.sqrt(np.mean(error_m**2)))
-        label = f"{name}: RMSE {rmse_m:.2f} m" if "truth" in paths else f"{name} to result"
+        label = f"{name}: RMSE {rmse_m:.3f} m" if "truth" in paths else f"{name} to result"
         axes.plot(at, error_m, label=label, **PATH_STYLES[name])
     axes.set_ylim(bottom=0.0)
     axes.set_title(f"distance from the {reference}")
