@@ -11,7 +11,7 @@ from sl3d_slam.config import InputSettings, LineSettings
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import invert
 from sl3d_slam.io.open import open_dataset
-from sl3d_slam.learning.pairs import close_pairs, draw_pair, same_lines
+from sl3d_slam.learning.pairs import close_pairs, draw_pair, gaps_of, same_lines
 from sl3d_slam.learning.prepare import poses_of
 from sl3d_slam.lines.extract import LineExtractor
 from sl3d_slam.lines.network.weights_format import read_weights
@@ -87,8 +87,7 @@ class LinePairs:
         """Find all pairs that are close enough."""
         places = self.drive.T_world_lidar
         self._indices = close_pairs(places, self.max_distance_m)
-        steps = np.diff(places[self._indices, :3, 3], axis=1)[:, 0]
-        self._gaps_m = np.linalg.norm(steps, axis=1)
+        self._gaps_m = gaps_of(places, self._indices)
 
     def __len__(self) -> int:
         """Return how many pairs there are."""

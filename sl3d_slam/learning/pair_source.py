@@ -9,7 +9,7 @@ from sl3d_slam.geometry.se3 import Transform, invert
 from sl3d_slam.learning.augment import augment, without_faint_lines
 from sl3d_slam.learning.batch import PairBatch, make_batch
 from sl3d_slam.learning.joint_settings import JointSettings
-from sl3d_slam.learning.pairs import close_pairs, draw_pair, same_lines
+from sl3d_slam.learning.pairs import close_pairs, draw_pair, gaps_of, same_lines
 from sl3d_slam.learning.prepared import PreparedDrive, PreparedScan
 from sl3d_slam.learning.virtual_view import draw_places, two_views
 from sl3d_slam.lines.network.settings import NetworkSettings
@@ -49,7 +49,7 @@ class PairSource:
         self._drives = [drives[k] for k in usable]
         self._pairs = [pairs[k] for k in usable]
         self._gaps_m = [
-            np.linalg.norm(np.diff(drive.T_world_lidar[index, :3, 3], axis=1)[:, 0], axis=1)
+            gaps_of(drive.T_world_lidar, index)
             for drive, index in zip(self._drives, self._pairs, strict=True)
         ]
 

@@ -20,6 +20,14 @@ def close_pairs(
     return np.stack([first, second], axis=1)
 
 
+def gaps_of(
+    T_world_lidar: Float64[np.ndarray, "N 4 4"], pairs: Int64[np.ndarray, "P 2"]
+) -> Float64[np.ndarray, "P"]:
+    """Return how far apart in metres the scans of each pair were taken."""
+    steps = np.diff(T_world_lidar[pairs, :3, 3], axis=1)[:, 0]
+    return np.asarray(np.linalg.norm(steps, axis=1))
+
+
 def same_lines(
     target: Float[np.ndarray, "A 2 3"],
     source: Float[np.ndarray, "B 2 3"],

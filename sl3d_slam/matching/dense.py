@@ -115,8 +115,11 @@ def information_of(fit: SurfaceFit) -> Float64[np.ndarray, "6 6"]:
     The Hessian H takes every point as independent and every surface as flat. The covariance is
     ``COVARIANCE_SCALE (misfit / USUAL_MISFIT)^2 H^-1``, growing with the fourth power of the
     support as it falls (views that share little share what both see at a slant), and least
-    variances.
-    Directions that no point fixes stay exactly zero.
+    variances. Directions that no point fixes stay exactly zero.
+
+    Fitted on pairs of views in thirteen simulated towns (HDL-64E, HDL-32E, OS1-128), where the mean
+    normalised error squared is 3.5 to 11.5 for six degrees of freedom; in three that it never saw
+    4.3, 3.8 and 2.0. ``sl3d bench covariance`` measures it on any drive with true poses.
     """
     values, vectors = np.linalg.eigh(fit.hessian * np.outer(UNITS, UNITS))
     fixed = values > FREE_RATIO * max(float(values[-1]), 1e-12)
