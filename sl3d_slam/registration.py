@@ -8,6 +8,7 @@ finds none, the pose that lines alone are sure of is tried.
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from sl3d_slam.config import MatchingSettings
 from sl3d_slam.errors import InputError
@@ -73,13 +74,22 @@ def register_lines(
         _checked_cloud(cloud, name)
         for cloud, name in zip(clouds, ("source", "target"), strict=True)
     ]
+    views = prepare_views((source, target), (checked[0], checked[1]), settings)
+    return register_views(*views, settings)
+
+
+def prepare_views(
+    lines: tuple[LineSet, LineSet],
+    clouds: tuple[Points, Float64[np.ndarray, "M 3"]],
+    settings: MatchingSettings,
+) -> tuple[PreparedView, PreparedView]:
+    """Make ready the source and the target of a registration, both at once."""
 
     def prepare(side: int) -> PreparedView:
-        lines = (source, target)[side]
-        view = make_view(checked[side], lines, settings.cloud_voxel_m)
+        view = make_view(clouds[side], lines[side], settings.cloud_voxel_m)
         return PreparedView(view, settings).prepare(moves=side == 0)
 
-    return register_views(*side_by_side(prepare, 0, 1), settings)
+    return side_by_side(prepare, 0, 1)
 
 
 def register_views(

@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from sl3d_slam.config import MatchingSettings, SlamConfig
 from sl3d_slam.geometry.se3 import Points
 from sl3d_slam.lines.extract import LineExtractor
-from sl3d_slam.registration import register_lines
+from sl3d_slam.registration import prepare_views, register_lines, register_views
 from sl3d_slam.side_by_side import side_by_side
 from sl3d_slam.types import LineSet, Registration
 
@@ -41,29 +41,30 @@ class PairRegistrar:
 
     def register(self, source: Points, target: OtherPoints) -> PairAnswer:
         """Find ``T_target_source`` by lines and clouds."""
-        extract_s = 0.0
-        for extractor, settings in self._extractors:
-            lines, seconds = _lines_of(extractor, source, target)
-            extract_s += seconds
-            registration = register_lines(*lines, (source, target), settings)
+        extractor, settings = self._extractors[0]
+        start_s = time.perf_counter()
+        proposals = side_by_side(extractor.propose, source, target)
+        lines = side_by_side(extractor.extract_from, *proposals)
+        extract_s = time.perf_counter() - start_s
+        views = prepare_views(lines, (source, target), settings)
+        registration = register_views(*views, settings)
+        for extractor, settings in self._extractors[1:]:
             if registration.success:
                 break
+            start_s = time.perf_counter()
+            lines = side_by_side(extractor.extract_from, *proposals)
+            extract_s += time.perf_counter() - start_s
+            views = views[0].with_lines(lines[0]), views[1].with_lines(lines[1])
+            registration = register_views(*views, settings)
         return PairAnswer(registration, lines, extract_s)
 
     def register_by_lines(self, source: Points, target: OtherPoints) -> PairAnswer:
         """Find ``T_target_source`` by the lines of the settings' method alone."""
         extractor, settings = self._extractors[-1]
-        lines, extract_s = _lines_of(extractor, source, target)
+        start_s = time.perf_counter()
+        lines = side_by_side(extractor.extract, source, target)
+        extract_s = time.perf_counter() - start_s
         return PairAnswer(register_lines(*lines, settings=settings), lines, extract_s)
-
-
-def _lines_of(
-    extractor: LineExtractor, source: Points, target: OtherPoints
-) -> tuple[tuple[LineSet, LineSet], float]:
-    """Return the lines of both scans, and the seconds they took."""
-    start_s = time.perf_counter()
-    lines = side_by_side(extractor.extract, source, target)
-    return lines, time.perf_counter() - start_s
 
 
 def _sure(matching: MatchingSettings) -> MatchingSettings:

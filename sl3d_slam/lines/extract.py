@@ -11,6 +11,7 @@ from sl3d_slam.errors import InputError, MissingExtraError
 from sl3d_slam.types import LineSet
 
 if TYPE_CHECKING:
+    from sl3d_slam.lines.geometric import Proposal
     from sl3d_slam.lines.network.inference import Network
 
 MIN_POINTS = 50
@@ -76,12 +77,32 @@ class LineExtractor:
         """
         points = checked_points(points_lidar)
         if self._network is None:
-            from sl3d_slam.lines.geometric import geometric_lines
-
-            return geometric_lines(points, self._settings)
+            return self.extract_from(self.propose(points))
         from sl3d_slam.lines.learned import learned_lines
 
         return learned_lines(points, self._settings, self._network)
+
+    def propose(self, points_lidar: np.ndarray) -> "Proposal":
+        """Return what geometry proposes in a scan, where more than one method will be asked.
+
+        Raises
+        ------
+        InputError
+            as :meth:`extract` does.
+        """
+        from sl3d_slam.lines.geometric import propose
+
+        return propose(checked_points(points_lidar), self._settings)
+
+    def extract_from(self, proposal: "Proposal") -> LineSet:
+        """Return what :meth:`extract` finds in the scan that a proposal was made of."""
+        if self._network is None:
+            from sl3d_slam.lines.geometric import geometric_lines
+
+            return geometric_lines(proposal, self._settings)
+        from sl3d_slam.lines.learned import learned_lines_of
+
+        return learned_lines_of(proposal, self._settings, self._network)
 
 
 def _network(settings: LineSettings, device: str) -> "Network":

@@ -1,5 +1,7 @@
 """Lines of one scan from geometry alone."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float64
 
@@ -13,10 +15,23 @@ from sl3d_slam.lines.scene import Scene, make_scene
 from sl3d_slam.types import LineKind, LineSet
 
 
-def geometric_lines(points_lidar: Points, settings: LineSettings) -> LineSet:
-    """Return the poles and edges of a scan with hand-made descriptors, best score first."""
+class Proposal(NamedTuple):
+    """What geometry proposes in a scan: uprights of its scene (level frame) and their kinds."""
+
+    scene: Scene
+    uprights: list[Upright]
+    kinds: list[LineKind]
+
+
+def propose(points_lidar: Points, settings: LineSettings) -> Proposal:
+    """Find the poles, then the standing edges, of a scan."""
     scene = make_scene(points_lidar, settings)
-    uprights, kinds = find_uprights(scene, settings)
+    return Proposal(scene, *find_uprights(scene, settings))
+
+
+def geometric_lines(proposal: Proposal, settings: LineSettings) -> LineSet:
+    """Return what is proposed as lines with hand-made descriptors, best score first."""
+    scene, uprights, kinds = proposal
     order = sorted(range(len(uprights)), key=lambda i: -uprights[i].score)[: settings.max_lines]
     endpoints = np.array([uprights[i].endpoints for i in order]).reshape(-1, 2, 3)
     measures = np.array(

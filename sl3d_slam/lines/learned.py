@@ -10,13 +10,13 @@ from scipy.spatial import cKDTree
 
 from sl3d_slam.config import LineSettings
 from sl3d_slam.geometry.se3 import Points
-from sl3d_slam.lines.geometric import find_uprights, to_lidar
+from sl3d_slam.lines.geometric import Proposal, find_uprights, to_lidar
 from sl3d_slam.lines.grown import grow_uprights
 from sl3d_slam.lines.network.answer import Inference
 from sl3d_slam.lines.network.inference import Network
 from sl3d_slam.lines.network.sample import network_points
 from sl3d_slam.lines.poles import Upright
-from sl3d_slam.lines.scene import Scene, make_scene
+from sl3d_slam.lines.scene import make_scene
 from sl3d_slam.types import LineKind, LineSet
 
 REACH_M = 0.35
@@ -39,9 +39,25 @@ def learned_lines(points_lidar: Points, settings: LineSettings, network: Network
     with ThreadPoolExecutor(1) as beside:  # both are compiled for the most part
         proposing = beside.submit(find_uprights, scene, settings)
         inference = network.infer(points)
-    proposed = proposing.result()
+    proposal = Proposal(scene, *proposing.result())
+    return _ranked(proposal, (points, inference), settings, network)
+
+
+def learned_lines_of(proposal: Proposal, settings: LineSettings, network: Network) -> LineSet:
+    """Return what :func:`learned_lines` does of a scan whose proposals are there already."""
+    points = network_points(proposal.scene, network.settings)
+    return _ranked(proposal, (points, network.infer(points)), settings, network)
+
+
+def _ranked(
+    proposal: Proposal,
+    answer: tuple[Float32[np.ndarray, "M 4"], Inference],
+    settings: LineSettings,
+    network: Network,
+) -> LineSet:
+    scene, (points, inference) = proposal.scene, answer
     uprights, kinds, members = _candidates(
-        scene, points, inference.probability, proposed, settings.min_length_m
+        proposal, points, inference.probability, settings.min_length_m
     )
     endpoints = _segments(uprights)
     fits = np.array([upright.score for upright in uprights])
@@ -62,14 +78,13 @@ def learned_lines(points_lidar: Points, settings: LineSettings, network: Network
 
 
 def _candidates(
-    scene: Scene,
+    proposal: Proposal,
     points: Float32[np.ndarray, "M 4"],
     probability: Float32[np.ndarray, "M"],
-    by_geometry: tuple[list[Upright], list[LineKind]],
     min_length_m: float,
 ) -> tuple[list[Upright], list[LineKind], list[Int64[np.ndarray, "_"]]]:
     """Return geometry's lines, those grown from points that none of them explains, their points."""
-    uprights, kinds = by_geometry
+    scene, uprights, kinds = proposal
     proposed = _segments(uprights)
     tree = cKDTree(points[:, :2])
     members = points_along(proposed, points, tree)

@@ -1,5 +1,6 @@
 """A view with everything that matching derives from it, each part made when first needed."""
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -12,12 +13,16 @@ from sl3d_slam.geometry.se3 import Points, Transform, from_yaw, invert, transfor
 from sl3d_slam.matching import dense, field, refine, visibility
 from sl3d_slam.matching.dense import MovingClouds
 from sl3d_slam.matching.verticals import Verticals, find_verticals, levelling
-from sl3d_slam.types import View
+from sl3d_slam.types import LineSet, View
 
 GROUND_REACH_M = 8.0
 MIN_GROUND_POINTS = 50
 RASTER_CELL_M = 1.0
 RASTER_SIZE = 160
+OF_THE_CLOUD = (
+    *("T_level_lidar", "level_points", "level_structure", "field", "image"),
+    *("_seen", "dense", "thinned", "moving", "street", "street_raster"),
+)
 
 
 class PreparedView:
@@ -25,7 +30,14 @@ class PreparedView:
 
     def __init__(self, view: View, settings: MatchingSettings) -> None:
         self.view = view
-        self._max_angle_rad = np.radians(2.0 * settings.angle_tolerance_deg)
+        self._settings = settings
+
+    def with_lines(self, lines: LineSet) -> "PreparedView":
+        """Return the same view with other lines of the same scan, levelled alike."""
+        other = PreparedView(replace(self.view, lines=lines), self._settings)
+        made = vars(self)
+        vars(other).update({name: made[name] for name in OF_THE_CLOUD if name in made})
+        return other
 
     def prepare(self, moves: bool) -> "PreparedView":
         """Make now what registration needs of the side that moves, or of the other; return self."""
@@ -49,7 +61,8 @@ class PreparedView:
     @cached_property
     def verticals(self) -> Verticals:
         """The standing lines, in the levelled frame."""
-        return find_verticals(self.view.lines, self.T_level_lidar, self._max_angle_rad)
+        max_angle_rad = np.radians(2.0 * self._settings.angle_tolerance_deg)
+        return find_verticals(self.view.lines, self.T_level_lidar, max_angle_rad)
 
     @cached_property
     def level_points(self) -> Points:
