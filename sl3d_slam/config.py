@@ -72,11 +72,11 @@ class MatchingSettings(Settings):
     distance_tolerance_m: float = Field(default=0.4, gt=0)
     angle_tolerance_deg: float = Field(default=6.0, gt=0)
     inlier_distance_m: float = Field(default=0.6, gt=0)
-    min_inliers: int = Field(default=4, ge=2)
+    min_inliers: int = Field(default=3, ge=2)
     max_hypotheses: int = Field(default=3000, ge=1)
     cloud_voxel_m: float = Field(default=0.5, gt=0)
     min_overlap: float = Field(default=0.05, gt=0, le=1)
-    min_log_odds: float = 1.5
+    min_log_odds: float = 1.0
     min_agreeing_points: int = Field(default=600, ge=1)
 
 
@@ -98,7 +98,8 @@ class LoopSettings(JudgingSettings):
     min_field_agreement: float = Field(default=0.5, ge=-2, le=2)
     nearby_m: float = Field(default=12.0, gt=0)
     max_distance_m: float = Field(default=60.0, gt=0)
-    min_log_odds: float = 2.0
+    min_log_odds: float = 4.0
+    min_inliers: int = Field(default=4, ge=2)
     min_overlap: float = Field(default=0.1, gt=0, le=1)
 
 
@@ -159,7 +160,7 @@ class MapSettings(Settings):
 class RelocalizationSettings(JudgingSettings):
     """What a place of a saved map must show; it differs from a scan: it has seen more sides."""
 
-    min_log_odds: float = -3.0
+    min_log_odds: float = 0.0
     min_inliers: int = Field(default=5, ge=2)
     min_overlap: float = Field(default=0.1, gt=0, le=1)
 

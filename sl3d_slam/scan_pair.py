@@ -18,7 +18,7 @@ from sl3d_slam.types import LineSet, Registration
 
 OtherPoints = Float64[np.ndarray, "M 3"]
 
-SURE_LOG_ODDS, SURE_OVERLAP = 2.0, 0.1  # of a pose by geometric lines, else the network is asked
+SURE_LOG_ODDS, SURE_OVERLAP = 1.0, 0.1  # of a pose by geometric lines, else the network is asked
 
 
 class PairAnswer(NamedTuple):

@@ -11,6 +11,7 @@ from sl3d_slam.matching.solve import line_distances_m, refine_on_lines
 from sl3d_slam.types import Registration
 
 MIN_LOG_ODDS = 0.5
+MIN_AGREEING = 4  # two suggest the pose
 MAX_RIVAL_SHARE = 0.9  # evenly spaced lamps fit a place farther almost as well
 GAPS_M = (0.1, 0.5)  # a few lines lie closer by chance, and none farther counts
 MANY_PAIRINGS = 2000
@@ -38,8 +39,9 @@ def register_alone(
     num_pairings = len(source.verticals) * len(target.verticals)
     log_odds = lines_log_odds(len(matches), gap_m, rival_share, num_pairings)
     reason = ""
-    if len(matches) < settings.min_inliers:
-        reason = f"only {len(matches)} lines agree, {settings.min_inliers} are needed"
+    needed = max(settings.min_inliers, MIN_AGREEING)
+    if len(matches) < needed:
+        reason = f"only {len(matches)} lines agree, {needed} are needed"
     elif rival_share > MAX_RIVAL_SHARE or log_odds < MIN_LOG_ODDS:
         reason = (
             f"{len(matches)} lines agree to {gap_m:.2f} m, "

@@ -7,7 +7,14 @@ import pytest
 
 from sl3d_slam.config import LoopSettings, MatchingSettings
 from sl3d_slam.geometry.se3 import from_yaw, invert, make_transform, rotation_between
-from sl3d_slam.matching.judge import Evidence, matched_lines, objection, refusal, to_registration
+from sl3d_slam.matching.judge import (
+    Evidence,
+    likeness,
+    matched_lines,
+    objection,
+    refusal,
+    to_registration,
+)
 from sl3d_slam.matching.prepared import PreparedView, flatten, lift
 from sl3d_slam.matching.views import make_view, pack, unpack, view_of_lines
 from sl3d_slam.matching.visibility import Visibility
@@ -20,8 +27,10 @@ GOOD = Evidence(
     correction_m=0.3,
     correction_rad=0.02,
     overlap=0.6,
-    seen=Visibility(agree=3000, contradict=60),
+    seen=Visibility(agree=3000, contradict=150),
     matches=np.column_stack([np.arange(7), np.arange(7)[::-1]]),
+    likeness=10.0,
+    misfit=0.14,
 )
 SLIDING = np.diag([1e6, 1e6, 1e6, 0.0, 1e4, 1e4])
 
@@ -40,10 +49,12 @@ def test_good_evidence_is_not_objected_to_and_becomes_an_answer():
         ({"correction_m": 4.1}, "refinement left the guess by 4.1 m"),
         ({"correction_rad": np.radians(11.0)}, "refinement left the guess"),
         ({"overlap": 0.04}, "4% of the clouds overlap"),
-        ({"seen": Visibility(3000, 300)}, "sees through 9%"),
+        ({"seen": Visibility(3000, 900)}, "sees through 23%"),
+        ({"likeness": 0.5}, "7 lines agree"),
+        ({"misfit": 0.3}, "7 lines agree"),
         ({"seen": Visibility(0, 0)}, "sees through"),
         ({"seen": Visibility(599, 0)}, "only 599 points agree"),
-        ({"matches": GOOD.matches[:3]}, "only 3 lines agree"),
+        ({"matches": GOOD.matches[:2]}, "only 2 lines agree"),
         ({"information": SLIDING}, "may slide"),
     ],
 )
@@ -72,14 +83,45 @@ def test_a_refusal_has_a_reason_and_nothing_else():
     assert result.reason == "nothing there"
 
 
-def test_odds_rise_with_lines_agreement_and_lead_and_stay_finite():
+def test_odds_rise_with_likeness_agreement_and_lead_fall_with_misfit_and_stay_finite():
     odds = GOOD.log_odds
-    assert replace(GOOD, matches=GOOD.matches[:5]).log_odds < odds
-    assert replace(GOOD, seen=Visibility(3000, 120)).log_odds < odds
-    assert replace(GOOD, seen=Visibility(6000, 120)).log_odds == pytest.approx(odds)  # shares count
+    assert replace(GOOD, likeness=5.0).log_odds < odds
+    assert replace(GOOD, misfit=0.2).log_odds < odds
+    assert replace(GOOD, seen=Visibility(3000, 300)).log_odds < odds
+    assert replace(GOOD, seen=Visibility(6000, 300)).log_odds == pytest.approx(odds)  # shares count
     assert replace(GOOD, lead=0.4).log_odds > odds > replace(GOOD, lead=-0.4).log_odds
     extremes = [Visibility(5000, 0), Visibility(0, 5000), Visibility(0, 0)]
     assert np.isfinite([replace(GOOD, seen=seen).log_odds for seen in extremes]).all()
+
+
+def described(descriptors):
+    """Lines of which only the descriptors matter."""
+    count = len(descriptors)
+    rows = np.asarray(descriptors, np.float32)
+    return LineSet(np.zeros((count, 2, 3)), rows, np.full(count, 9, np.int64))
+
+
+def test_likeness_counts_how_far_matches_stand_out_and_never_against():
+    target = described(np.eye(4))
+    source = described(np.eye(4)[[1, 0, 2, 3]])  # the first two are each other's
+    # a cosine is 1 in a quarter of the 16 pairs: mean 1/4, deviation sqrt(3)/4
+    stands_out = 0.75 / (np.sqrt(3) / 4)
+    for matches, expected in (
+        ([[0, 1]], stands_out),
+        ([[0, 1], [1, 0], [2, 2]], 3 * stands_out),
+        ([[0, 0]], 0.0),
+        ([[0, 0], [2, 2]], stands_out),
+        (np.zeros((0, 2)), 0.0),
+    ):
+        rows = np.array(matches, np.int64)
+        assert likeness(source, target, rows) == pytest.approx(expected, rel=1e-6)
+
+
+def test_likeness_counts_matches_where_nothing_is_described():
+    bare = described(np.zeros((3, 0)))
+    assert likeness(bare, bare, np.array([[0, 1], [1, 2]])) == 2.0
+    alike = described(np.ones((3, 4)) / 2)  # all say the same: nothing stands out
+    assert likeness(alike, alike, np.array([[0, 1], [1, 2]])) == pytest.approx(0.0, abs=1e-4)
 
 
 def leaning_view(xy, up):

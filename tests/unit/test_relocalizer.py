@@ -119,11 +119,11 @@ def test_what_is_no_scan_is_refused(poses, landmarks, points):
 
 
 def test_confidence_grows_with_odds_and_with_the_lead_over_other_places():
-    sure = confidence(8.0, 10.0)
+    sure = confidence(12.0, 10.0)
     assert 0.99 < sure <= 1.0
-    assert confidence(-3.44, 10.0) == pytest.approx(0.5, abs=0.01)  # as likely right as wrong
-    assert confidence(8.0, 0.0) == pytest.approx(0.5, abs=1e-3)  # two places, equally likely
+    assert confidence(-1.92, 10.0) == pytest.approx(0.5, abs=0.01)  # as likely right as wrong
+    assert confidence(12.0, 0.0) == pytest.approx(0.5, abs=1e-3)  # two places, equally likely
     assert confidence(2.0, 10.0) < sure
-    assert confidence(8.0, 3.0) < sure
-    assert 0.0 < confidence(-12.0, 2.0) < 0.001
-    assert confidence(8.0, np.inf) == pytest.approx(1.0, abs=1e-3)  # no other place at all
+    assert confidence(12.0, 3.0) < sure
+    assert 0.0 < confidence(-12.0, 2.0) < 0.01
+    assert confidence(12.0, np.inf) == pytest.approx(1.0, abs=1e-3)  # no other place at all
