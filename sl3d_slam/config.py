@@ -75,9 +75,9 @@ class MatchingSettings(Settings):
     min_inliers: int = Field(default=3, ge=2)
     max_hypotheses: int = Field(default=3000, ge=1)
     cloud_voxel_m: float = Field(default=0.5, gt=0)
-    min_overlap: float = Field(default=0.05, gt=0, le=1)
+    min_overlap: float = Field(default=0.03, gt=0, le=1)
     min_log_odds: float = 1.0
-    min_agreeing_points: int = Field(default=600, ge=1)
+    min_agreeing_points: int = Field(default=300, ge=1)
 
 
 class JudgingSettings(Settings):

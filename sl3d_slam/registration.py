@@ -1,10 +1,11 @@
 """Where is one scan in the frame of another? No first guess, no sampling, a reasoned no.
 
 Standing lines propose every pose, a bird's-eye field of the coarse clouds judges the best few
-thousand, GICP refines the few that are left, and what each scan saw through decides. Where that
-finds none, the pose that lines alone are sure of is tried.
+thousand, GICP refines the few that are left, and what each scan saw through decides, with the lines
+that agree. Where that finds none, the poses that lines alone like best are tried.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +36,6 @@ NUM_REFINED = 3
 NUM_JUDGED_FULLY = 400  # poses that every point of the fields judges; the others a quarter of them
 THINNING = 4
 LINE_VOTE = 0.05  # what one agreeing line adds to the mean field value
-CONFIRMED_LOG_ODDS = 1.5  # that a pose may lack by clouds where lines alone are sure of it
 
 
 def register_lines(
@@ -95,43 +95,42 @@ def prepare_views(
 def register_views(
     source: PreparedView, target: PreparedView, settings: MatchingSettings
 ) -> Registration:
-    """Find ``T_target_source`` of two views with clouds."""
-    poses, scores = planar_seeds(source, target, settings)
-    if len(poses) == 0:
-        return refusal("no two standing lines of one scan fit two of the other")
-    chosen = distinct(poses, NUM_REFINED)
+    """Find ``T_target_source`` of two views with clouds.
+
+    The poses that fields and lines together like best are tried first, then those that lines alone
+    like: around a corner two scans share little, and fields then like a wrong place better.
+    """
     best: Evidence | None = None
-    for k in chosen:
-        rivals = [scores[j] for j in chosen if j != k]
-        lead = float(scores[k] - max(rivals)) if rivals else float(scores[k])
-        evidence = _evidence(source, target, poses[k], lead, settings)
+    for pose, lead in _seeds(source, target, settings):
+        evidence = _evidence(source, target, pose, lead, settings)
         if evidence is None:
             return refusal("a cloud has too few points to verify a pose with")
         if not objection(evidence, settings):
             return to_registration(evidence, "")
         if best is None or evidence.log_odds > best.log_odds:
             best = evidence
-    confirmed = _of_lines_alone(source, target, settings)
-    if confirmed is not None:
-        return to_registration(confirmed, "")
-    assert best is not None
+    if best is None:
+        return refusal("no two standing lines of one scan fit two of the other")
     return to_registration(best, objection(best, settings))
 
 
-def _of_lines_alone(
+def _seeds(
     source: PreparedView, target: PreparedView, settings: MatchingSettings
-) -> Evidence | None:
-    """Return what lines alone are sure of, where the clouds confirm it.
-
-    Around a corner two scans share little: fields then like a wrong place better, lines do not.
-    """
-    alone = register_alone(source, target, settings)
-    if alone.T_target_source is None:
-        return None
-    evidence = gather_near(source, target, target.dense, alone.T_target_source, settings)
-    min_log_odds = settings.min_log_odds - CONFIRMED_LOG_ODDS
-    needed = settings.model_copy(update={"min_log_odds": min_log_odds})
-    return None if evidence is None or objection(evidence, needed) else evidence
+) -> Iterator[tuple[np.ndarray, float]]:
+    """Yield planar poses to refine, different from each other, and their leads over rivals."""
+    by_lines, line_scores = line_poses(source, target, settings)
+    poses, scores = by_fields(source, target, by_lines, line_scores)
+    chosen = distinct(poses, NUM_REFINED)
+    for k in chosen:
+        rivals = [scores[j] for j in chosen if j != k]
+        yield poses[k], float(scores[k] - max(rivals)) if rivals else float(scores[k])
+    liked = distinct(by_lines, NUM_REFINED)
+    agreement = field_agreement(source, target, by_lines[liked])
+    for pose, score in zip(
+        by_lines[liked], agreement + LINE_VOTE * line_scores[liked], strict=True
+    ):
+        if len(distinct(np.vstack([poses[chosen], pose]), len(chosen) + 1)) > len(chosen):
+            yield pose, float(score - scores[0])
 
 
 def _evidence(
@@ -148,14 +147,13 @@ def _evidence(
     return None if evidence is None else replace(evidence, lead=lead)
 
 
-def planar_seeds(
-    source: PreparedView, target: PreparedView, settings: MatchingSettings
-) -> tuple[PlanarPoses, np.ndarray]:
-    """Return planar poses (yaw, x, y) of levelled frames and their scores, best first.
+def by_fields(
+    source: PreparedView, target: PreparedView, poses: PlanarPoses, line_scores: np.ndarray
+) -> tuple[Float64[np.ndarray, "K 3"], np.ndarray]:
+    """Return the best of planar poses (yaw, x, y) of levelled frames, best first, and their scores.
 
     The score is how well the fields agree plus a little for every line.
     """
-    poses, line_scores = line_poses(source, target, settings)
     thin = (_thinned(source.field), _thinned(target.field))
     rough = _both_ways(*thin, poses) + LINE_VOTE * line_scores
     kept = np.sort(np.argsort(-rough, kind="stable")[:NUM_JUDGED_FULLY])

@@ -125,12 +125,12 @@ def test_tiny_clouds_are_a_no_with_a_reason(rng):
     assert "too few points" in result.reason
 
 
-def test_what_lines_are_sure_of_is_tried_where_fields_like_another_place(ring_drive, monkeypatch):
+def test_what_lines_like_best_is_tried_where_fields_like_another_place(ring_drive, monkeypatch):
     scans = [scan.points_lidar for scan in simulate_drive(ring_drive, [8, 4])]
     views = [make_view(scan, *extract(scan), MatchingSettings().cloud_voxel_m) for scan in scans]
     sides = [PreparedView(view, MatchingSettings()) for view in views]
     elsewhere = np.array([[1.0, 30.0, -20.0]]), np.array([1.0])
-    monkeypatch.setattr(registration, "planar_seeds", lambda *_: elsewhere)
+    monkeypatch.setattr(registration, "by_fields", lambda *_: elsewhere)
     result = register_views(*sides, MatchingSettings())
     assert result.success, result.reason
     T_truth = invert(ring_drive.T_town_lidar[4]) @ ring_drive.T_town_lidar[8]
