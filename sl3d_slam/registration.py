@@ -2,10 +2,9 @@
 
 Standing lines propose every pose, a bird's-eye field of the coarse clouds judges the best few
 thousand, GICP refines the few that are left, and what each scan saw through decides, with the lines
-that agree. Where that finds none, the poses that lines alone like best are tried.
+that agree. Where that finds none, poses whose lines are more alike are tried.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -14,9 +13,7 @@ from jaxtyping import Float64
 from sl3d_slam.config import MatchingSettings
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import Points
-from sl3d_slam.matching import field
 from sl3d_slam.matching.alone import register_alone
-from sl3d_slam.matching.consistency import PlanarPoses
 from sl3d_slam.matching.judge import (
     Evidence,
     gather_near,
@@ -26,16 +23,11 @@ from sl3d_slam.matching.judge import (
 )
 from sl3d_slam.matching.prepared import PreparedView, lift
 from sl3d_slam.matching.refine import fit_planar
-from sl3d_slam.matching.seeds import distinct, line_poses
+from sl3d_slam.matching.seeds import by_fields, likeliest, line_poses, most_alike
 from sl3d_slam.matching.verticals import up_of_lines
 from sl3d_slam.matching.views import make_view, view_of_lines
 from sl3d_slam.side_by_side import side_by_side
 from sl3d_slam.types import LineSet, Registration
-
-NUM_REFINED = 3
-NUM_JUDGED_FULLY = 400  # poses that every point of the fields judges; the others a quarter of them
-THINNING = 4
-LINE_VOTE = 0.05  # what one agreeing line adds to the mean field value
 
 
 def register_lines(
@@ -93,15 +85,21 @@ def prepare_views(
 
 
 def register_views(
-    source: PreparedView, target: PreparedView, settings: MatchingSettings
+    source: PreparedView,
+    target: PreparedView,
+    settings: MatchingSettings,
+    thorough: bool = True,
 ) -> Registration:
     """Find ``T_target_source`` of two views with clouds.
 
-    The poses that fields and lines together like best are tried first, then those that lines alone
-    like: around a corner two scans share little, and fields then like a wrong place better.
+    The poses that fields and lines together like best are tried first, then, if ``thorough``, those
+    whose lines are most alike: around a corner two scans share little, and fields then like a wrong
+    place better.
     """
+    by_lines, line_scores = line_poses(source, target, settings)
+    poses, scores = by_fields(source, target, by_lines, line_scores)
     best: Evidence | None = None
-    for pose, lead in _seeds(source, target, settings):
+    for pose, lead in likeliest(poses, scores):
         evidence = _evidence(source, target, pose, lead, settings)
         if evidence is None:
             return refusal("a cloud has too few points to verify a pose with")
@@ -111,26 +109,11 @@ def register_views(
             best = evidence
     if best is None:
         return refusal("no two standing lines of one scan fit two of the other")
+    for pose, lead in most_alike(source, target, (poses, by_lines), settings) if thorough else ():
+        evidence = _evidence(source, target, pose, lead, settings)
+        if evidence is not None and not objection(evidence, settings):
+            return to_registration(evidence, "")
     return to_registration(best, objection(best, settings))
-
-
-def _seeds(
-    source: PreparedView, target: PreparedView, settings: MatchingSettings
-) -> Iterator[tuple[np.ndarray, float]]:
-    """Yield planar poses to refine, different from each other, and their leads over rivals."""
-    by_lines, line_scores = line_poses(source, target, settings)
-    poses, scores = by_fields(source, target, by_lines, line_scores)
-    chosen = distinct(poses, NUM_REFINED)
-    for k in chosen:
-        rivals = [scores[j] for j in chosen if j != k]
-        yield poses[k], float(scores[k] - max(rivals)) if rivals else float(scores[k])
-    liked = distinct(by_lines, NUM_REFINED)
-    agreement = field_agreement(source, target, by_lines[liked])
-    for pose, score in zip(
-        by_lines[liked], agreement + LINE_VOTE * line_scores[liked], strict=True
-    ):
-        if len(distinct(np.vstack([poses[chosen], pose]), len(chosen) + 1)) > len(chosen):
-            yield pose, float(score - scores[0])
 
 
 def _evidence(
@@ -145,38 +128,6 @@ def _evidence(
     T_guess = lift(source, target, on_lines)
     evidence = gather_near(source, target, target.dense, T_guess, settings)
     return None if evidence is None else replace(evidence, lead=lead)
-
-
-def by_fields(
-    source: PreparedView, target: PreparedView, poses: PlanarPoses, line_scores: np.ndarray
-) -> tuple[Float64[np.ndarray, "K 3"], np.ndarray]:
-    """Return the best of planar poses (yaw, x, y) of levelled frames, best first, and their scores.
-
-    The score is how well the fields agree plus a little for every line.
-    """
-    thin = (_thinned(source.field), _thinned(target.field))
-    rough = _both_ways(*thin, poses) + LINE_VOTE * line_scores
-    kept = np.sort(np.argsort(-rough, kind="stable")[:NUM_JUDGED_FULLY])
-    poses = poses[kept]
-    scores = field_agreement(source, target, poses) + LINE_VOTE * line_scores[kept]
-    order = np.argsort(-scores, kind="stable")
-    return poses[order], scores[order]
-
-
-def field_agreement(source: PreparedView, target: PreparedView, poses: PlanarPoses) -> np.ndarray:
-    """Return the fields' mean values under each pose, both ways added: in [-1.2, 2]."""
-    return _both_ways(source.field, target.field, poses)
-
-
-def _both_ways(
-    source: field.StructureField, target: field.StructureField, poses: PlanarPoses
-) -> np.ndarray:
-    forward = field.score_poses(source, target, poses)
-    return forward + field.score_poses(target, source, field.invert_poses(poses))
-
-
-def _thinned(whole: field.StructureField) -> field.StructureField:
-    return field.StructureField(whole.value, whole.points[::THINNING])
 
 
 def _checked_cloud(cloud: np.ndarray, name: str) -> Points:

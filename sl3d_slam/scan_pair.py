@@ -47,7 +47,7 @@ class PairRegistrar:
         lines = side_by_side(extractor.extract_from, *proposals)
         extract_s = time.perf_counter() - start_s
         views = prepare_views(lines, (source, target), settings)
-        registration = register_views(*views, settings)
+        registration = register_views(*views, settings, thorough=len(self._extractors) == 1)
         for extractor, settings in self._extractors[1:]:
             if registration.success:
                 break

@@ -12,8 +12,8 @@ from sl3d_slam.config import SlamConfig
 from sl3d_slam.geometry.se3 import Transform
 from sl3d_slam.matching.judge import gather_evidence, objection
 from sl3d_slam.matching.prepared import PreparedView, lift
+from sl3d_slam.matching.seeds import field_agreement
 from sl3d_slam.matching.views import from_bytes, unpack
-from sl3d_slam.registration import field_agreement
 from sl3d_slam.types import LoopConstraint, Rejection
 
 PlanarPose = tuple[float, float, float]  # yaw, x, y of the query in the target, both levelled

@@ -142,7 +142,13 @@ def matched_lines(
     source: PreparedView, target: PreparedView, T_target_source: Transform, distance_m: float
 ) -> Int64[np.ndarray, "M 2"]:
     """Return the standing lines that a pose lays on each other, as rows of the line sets."""
-    pose = flatten(source, target, T_target_source)
+    return lines_under(source, target, flatten(source, target, T_target_source), distance_m)
+
+
+def lines_under(
+    source: PreparedView, target: PreparedView, pose: np.ndarray, distance_m: float
+) -> Int64[np.ndarray, "M 2"]:
+    """Return the standing lines that a planar pose (yaw, x, y) of levelled frames lays together."""
     matches = match_verticals(source.verticals, target.verticals, pose, distance_m)
     return np.stack(
         [source.verticals.indices[matches[:, 0]], target.verticals.indices[matches[:, 1]]], axis=1

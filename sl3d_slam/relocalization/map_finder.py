@@ -14,7 +14,7 @@ from sl3d_slam.matching.dense import DenseCloud, prepare
 from sl3d_slam.matching.judge import Evidence, gather_near, objection
 from sl3d_slam.matching.prepared import PreparedView, flatten, lift
 from sl3d_slam.matching.refine import fit_planar
-from sl3d_slam.registration import field_agreement
+from sl3d_slam.matching.seeds import field_agreement
 from sl3d_slam.relocalization.retrieval import MapGuess, MapRetrieval
 from sl3d_slam.types import Relocalization, View
 

@@ -125,7 +125,9 @@ def test_tiny_clouds_are_a_no_with_a_reason(rng):
     assert "too few points" in result.reason
 
 
-def test_what_lines_like_best_is_tried_where_fields_like_another_place(ring_drive, monkeypatch):
+def test_what_has_lines_most_alike_is_tried_where_fields_like_another_place(
+    ring_drive, monkeypatch
+):
     scans = [scan.points_lidar for scan in simulate_drive(ring_drive, [8, 4])]
     views = [make_view(scan, *extract(scan), MatchingSettings().cloud_voxel_m) for scan in scans]
     sides = [PreparedView(view, MatchingSettings()) for view in views]
