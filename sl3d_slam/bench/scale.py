@@ -135,7 +135,10 @@ def _run_of(extent: Extent, seed: int) -> SyntheticRun:
     """Return the training run: the paper's clouds of one shape, a fifth of them background."""
     background = extent.points // 5
     shapes = SyntheticSettings(
-        primitive_points=extent.points - background, background_points=background, max_primitives=1
+        primitive_points=extent.points - background,
+        background_points=background,
+        max_primitives=1,
+        scanned=0.0,
     )
     return SyntheticRun(
         seed=seed,

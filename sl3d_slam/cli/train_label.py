@@ -75,7 +75,7 @@ def _trained_on_shapes(folder: Path, quiet: bool) -> Path:
 def _show(figures: "list[RoundFigures]", out: Path) -> None:
     for row in figures:
         text = f"round {row.number}: {row.scans} scans, {row.lines_per_scan:.1f} lines a scan"
-        text += f", {row.doubtful_per_scan:.1f} more doubtful"
+        text += f", {row.unknown_share:.0%} of the points not known"
         if row.score is not None:
             text += f"; precision {row.score.precision:.1%}, recall {row.score.recall:.1%}"
         typer.echo(text)

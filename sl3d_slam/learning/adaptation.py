@@ -29,7 +29,6 @@ class AdaptationSettings(Settings):
     voxel_size_m: float = Field(default=0.25, gt=0)
     max_points: int = Field(default=20_000, ge=50)
     max_left_out: float = Field(default=0.3, ge=0, lt=1)
-    threshold: float = Field(default=0.5, gt=0, lt=1)
 
 
 def line_votes(
@@ -39,20 +38,21 @@ def line_votes(
     rng: np.random.Generator,
     neighbours: tuple[int, int] = (20, 4),
 ) -> Float32[np.ndarray, "N"]:
-    """Return for every point the share of views that called it a line; 0 where none showed it.
+    """Return for every point the mean vote of the views that showed it; 0 where none did.
 
-    ``neighbours`` are how many the network looks at, and their stride.
+    A view votes with the probability that a point lies on a line. ``neighbours`` are how many the
+    network looks at, and their stride.
     """
-    lines = np.zeros(len(points_lidar), np.float32)
+    votes = np.zeros(len(points_lidar), np.float32)
     seen = np.zeros(len(points_lidar), np.float32)
     for _ in range(settings.views):
         chosen, voxel_of = random_view(points_lidar, settings, rng)
         view = moved_at_random(points_lidar[chosen], settings, rng)
         (shares,) = line_shares(network, [view], *neighbours)
         shown = voxel_of >= 0
-        lines[shown] += shares[voxel_of[shown]] > settings.threshold
+        votes[shown] += shares[voxel_of[shown]]
         seen += shown
-    return lines / np.maximum(seen, 1.0)
+    return votes / np.maximum(seen, 1.0)
 
 
 def random_view(

@@ -31,11 +31,11 @@ class ConfirmationSettings(Settings):
     ``min_share`` of those. Where there are fewer such scans nothing is asked.
     """
 
-    distance_m: float = Field(default=0.4, gt=0)
-    angle_deg: float = Field(default=10.0, gt=0)
+    distance_m: float = Field(default=0.3, gt=0)
+    angle_deg: float = Field(default=6.0, gt=0)
     min_baseline_m: float = Field(default=1.5, ge=0)
     max_baseline_m: float = Field(default=15.0, gt=0)
-    min_scans: int = Field(default=2, ge=1)
+    min_scans: int = Field(default=3, ge=1)
     min_share: float = Field(default=0.25, ge=0, le=1)
 
 
@@ -70,18 +70,20 @@ def lines_of_others(
     T_world_lidar: Float64[np.ndarray, "S 4 4"],
     settings: ConfirmationSettings,
 ) -> Segments:
-    """Return, in the frame of a scan, the lines of scans near by that it does not show itself."""
+    """Return, in the frame of a scan, the lines of scans near by that are not among its own.
+
+    A line that several of them found is taken from the nearest.
+    """
     places = T_world_lidar[:, :3, 3]
     baseline = np.linalg.norm(places - places[scan], axis=1)
     others = np.flatnonzero(baseline <= settings.max_baseline_m)
     T_scan_world = invert(T_world_lidar[scan])
-    local = [
-        transform_segments(T_scan_world @ T_world_lidar[other], sure[other])
-        for other in others.tolist()
-        if other != scan
-    ]
-    joined = np.concatenate([np.zeros((0, 2, 3)), *local])
-    return joined[~seen_again(joined, sure[scan], settings)]
+    known, own = sure[scan], len(sure[scan])
+    for other in others[np.argsort(baseline[others], kind="stable")].tolist():
+        if other != scan:
+            local = transform_segments(T_scan_world @ T_world_lidar[other], sure[other])
+            known = np.concatenate([known, local[~seen_again(local, known, settings)]])
+    return known[own:]
 
 
 def seen_again(

@@ -16,19 +16,18 @@ import numpy as np
 from sl3d_slam.errors import InputError
 from sl3d_slam.files import prepare_run_folder, write_whole
 from sl3d_slam.io.dataset import Dataset
-from sl3d_slam.learning.confirmation import confirmed, lines_of_others
+from sl3d_slam.learning.label_lines import ScanLines, judge_lines, split_by_sight
 from sl3d_slam.learning.label_pictures import draw_labels
 from sl3d_slam.learning.label_poses import drive_poses
 from sl3d_slam.learning.label_truth import LabelScore, read_town_truth
 from sl3d_slam.learning.labelling import (
-    Candidates,
     LabelSettings,
     ScanWorker,
     Source,
     load_segmentation,
     read_candidates,
 )
-from sl3d_slam.learning.labels import label_points, read_labels, write_labels
+from sl3d_slam.learning.labels import UNKNOWN, label_points, read_labels, write_labels
 from sl3d_slam.learning.refinement import RefineSettings, refine
 
 Progress = Callable[[str, int], None]
@@ -64,12 +63,12 @@ class LabelRun:
 
 @dataclass(frozen=True, slots=True)
 class RoundFigures:
-    """One round: lines a scan; precision and recall where the true lines are known."""
+    """One round: lines a scan, the share of points not known; a score where the truth is known."""
 
     number: int
     scans: int
     lines_per_scan: float
-    doubtful_per_scan: float
+    unknown_share: float
     score: LabelScore | None
 
 
@@ -99,11 +98,12 @@ def run_rounds(
         for _ in _vote(run, weights, folder / "votes", indices):
             progress(f"round {number}: votes", 1)
         found = [read_candidates(folder / "votes" / f"{index:06d}.npz") for index in indices]
-        judged = judge_lines(found, T_world_lidar, run.settings)
-        for index, candidates in zip(indices, judged, strict=True):
-            _label_scan(dataset, folder, index, candidates)
+        judged = judge_lines(found, T_world_lidar, run.settings.confirmation)
+        for index, lines in zip(indices, judged, strict=True):
+            _label_scan(dataset, folder, index, lines, run.settings)
             progress(f"round {number}: labels", 1)
-        figures.append(_figures(run, dataset, number, (indices, judged), T_world_lidar))
+        labels = folder / "labels"
+        figures.append(_figures(run, dataset, number, labels, indices, T_world_lidar))
         if number < run.rounds:
             weights = refine(weights, dataset, indices, folder, run.refinement, progress)
     for _ in _publish(dataset, out, run.rounds, indices):
@@ -152,56 +152,41 @@ def _vote_in_worker(index: int) -> None:
     _worker.vote(index)
 
 
-def judge_lines(
-    found: list[Candidates], T_world_lidar: np.ndarray, settings: LabelSettings
-) -> list[Candidates]:
-    """Move the lines that no other scan confirms to the doubtful ones.
-
-    What scans near by have confirmed but this one does not show is doubtful here, too: it may be
-    hidden, or only missed.
-    """
-    verdicts = confirmed([c.lines for c in found], T_world_lidar, settings.confirmation)
-    sure = [c.lines[verdict] for c, verdict in zip(found, verdicts, strict=True)]
-    judged = []
-    for scan, candidates in enumerate(found):
-        missed = lines_of_others(scan, sure, T_world_lidar, settings.confirmation)
-        unconfirmed = candidates.lines[~verdicts[scan]]
-        doubtful = np.concatenate([candidates.doubtful, unconfirmed, missed])
-        judged.append(Candidates(candidates.votes, sure[scan], doubtful))
-    return judged
-
-
-def _label_scan(dataset: Dataset, folder: Path, index: int, candidates: Candidates) -> None:
+def _label_scan(
+    dataset: Dataset, folder: Path, index: int, lines: ScanLines, settings: LabelSettings
+) -> None:
     """Write the labels of a scan, unless they are there already."""
     path = folder / "labels" / f"{index:06d}.npz"
     if path.is_file():
         return
     (scan,) = dataset.iterate(index, index + 1)
-    found = label_points(scan.points_lidar, candidates.votes, candidates.lines, candidates.doubtful)
-    write_labels(path, found)
+    sure, doubtful = split_by_sight(scan.points_lidar, lines, settings.growth)
+    write_labels(path, label_points(scan.points_lidar, lines.votes, sure, doubtful))
 
 
 def _figures(
     run: LabelRun,
     dataset: Dataset,
     number: int,
-    labelled: tuple[list[int], list[Candidates]],
+    folder: Path,
+    indices: list[int],
     T_world_lidar: np.ndarray,
 ) -> RoundFigures:
-    indices, judged = labelled
+    """Measure the labels as they were written."""
+    labels = [read_labels(folder / f"{index:06d}.npz") for index in indices]
     truth = read_town_truth(run.source.folder()) if dataset.simulated else None
     score = None
     if truth is not None:
         scores = [
-            truth.score(index, candidates.lines, T, not run.settings.lying)
-            for index, candidates, T in zip(indices, judged, T_world_lidar, strict=True)
+            truth.score(index, found.endpoints.astype(float), T, not run.settings.lying)
+            for index, found, T in zip(indices, labels, T_world_lidar, strict=True)
         ]
         score = sum(scores, LabelScore())
     return RoundFigures(
         number=number,
         scans=len(indices),
-        lines_per_scan=float(np.mean([len(c.lines) for c in judged])),
-        doubtful_per_scan=float(np.mean([len(c.doubtful) for c in judged])),
+        lines_per_scan=float(np.mean([len(found.endpoints) for found in labels])),
+        unknown_share=float(np.mean([np.mean(found.line_id == UNKNOWN) for found in labels])),
         score=score,
     )
 

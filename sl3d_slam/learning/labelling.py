@@ -20,7 +20,7 @@ from sl3d_slam.io.dataset import Dataset
 from sl3d_slam.io.kitti import find_sequence
 from sl3d_slam.io.open import open_dataset
 from sl3d_slam.learning.adaptation import AdaptationSettings, line_votes
-from sl3d_slam.learning.confirmation import ConfirmationSettings
+from sl3d_slam.learning.confirmation import ConfirmationSettings, seen_again
 from sl3d_slam.learning.line_growth import GrowthSettings, grow_lines
 from sl3d_slam.lines.network.model import SuperLine3D
 from sl3d_slam.lines.network.weights_file import load_weights
@@ -34,12 +34,15 @@ MIN_TOP_M = 0.8
 class LabelSettings(Settings):
     """How scans are labelled.
 
-    ``kept_votes`` is the share of views that must call a point a line. Lines farther than 37
-    degrees from upright are doubtful unless ``lying``: kerbs and the feet of walls are seldom
-    found again from elsewhere.
+    Lines are grown from the points with at least the first of ``kept_votes``, then from those with
+    the second, and so on: beside an edge the votes fall off by and by, so where the strictest still
+    connect points the line is sharpest. Lines farther than 37 degrees from upright are doubtful
+    unless ``lying``: kerbs and the feet of walls are seldom found again from elsewhere.
     """
 
-    kept_votes: float = Field(default=0.8, gt=0, le=1)
+    kept_votes: tuple[float, ...] = Field(
+        default=(0.95, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5, 0.4), min_length=1
+    )
     lying: bool = False
     adaptation: AdaptationSettings = AdaptationSettings()
     growth: GrowthSettings = GrowthSettings()
@@ -91,18 +94,26 @@ def load_segmentation(path: Path) -> SuperLine3D:
 def find_candidates(
     network: SuperLine3D, points_lidar: Points, settings: LabelSettings, seed: int
 ) -> Candidates:
-    """Vote on the points of a scan and grow lines from those that at least 80 % call so."""
+    """Vote on the points of a scan and grow lines from those that many call so."""
     rng = np.random.default_rng([seed, len(points_lidar)])
     votes = np.zeros(len(points_lidar), np.float32)
     far = np.einsum("nd,nd->n", points_lidar, points_lidar) > MIN_RANGE_M**2
     neighbours = (network.settings.num_neighbours, network.settings.stride)
     votes[far] = line_votes(network, points_lidar[far], settings.adaptation, rng, neighbours)
-    grown = grow_lines(points_lidar[votes >= settings.kept_votes], settings.growth, seed)
     up = up_direction(points_lidar)
-    plausible = _stand_out(grown, points_lidar, up)
-    if not settings.lying:
-        plausible &= np.abs(directions(grown) @ up) > STANDING_SINE
-    return Candidates(votes, grown[plausible], grown[~plausible])
+    lines, doubtful = np.zeros((0, 2, 3)), np.zeros((0, 2, 3))
+    for least in settings.kept_votes:
+        grown = grow_lines(points_lidar[votes >= least], settings.growth, seed)
+        plausible = _stand_out(grown, points_lidar, up)
+        if not settings.lying:
+            plausible &= np.abs(directions(grown) @ up) > STANDING_SINE
+        lines, doubtful = _joined(lines, grown[plausible]), _joined(doubtful, grown[~plausible])
+    return Candidates(votes, lines, doubtful)
+
+
+def _joined(known: Float64[np.ndarray, "_ 2 3"], grown: Float64[np.ndarray, "_ 2 3"]) -> np.ndarray:
+    """Add to segments those that lie along none of them."""
+    return np.concatenate([known, grown[~seen_again(grown, known, ConfirmationSettings())]])
 
 
 def _stand_out(segments: Segments, points_lidar: Points, up: np.ndarray) -> np.ndarray:

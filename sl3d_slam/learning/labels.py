@@ -22,7 +22,7 @@ from sl3d_slam.learning.primitives import BACKGROUND, distances_to_segments_m
 
 UNKNOWN = -2
 ON_LINE_M, NEAR_LINE_M = 0.2, 0.4
-DOUBTFUL_VOTES = 0.3
+DOUBTFUL_VOTES = 0.9
 MIN_MEMBERS = 5
 EXPECTED = "labels with line_id (n,) and endpoints (L, 2, 3)"
 
@@ -70,7 +70,8 @@ def label_points(
     """Say for each point which line it belongs to.
 
     Within 0.2 m of a line: that line. Not known is what lies within 0.4 m of one, or near a
-    doubtful line, or what more than 30 % of the views called a line. The rest is background.
+    doubtful line, or has votes above 0.9 and yet made no line. The rest is background, with much
+    that a first network takes for lines: from that the next one learns.
     """
     line_id = np.full(len(points_lidar), BACKGROUND, np.int32)
     line_id[votes > DOUBTFUL_VOTES] = UNKNOWN

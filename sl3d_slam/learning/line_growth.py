@@ -31,11 +31,11 @@ class GrowthSettings(Settings):
     """
 
     radius_m: float = Field(default=0.5, gt=0)
-    reach_m: float = Field(default=0.25, gt=0)
+    reach_m: float = Field(default=0.2, gt=0)
     min_length_m: float = Field(default=1.0, gt=0)
     min_points: int = Field(default=8, ge=2)
     max_gap_m: float = Field(default=1.0, gt=0)
-    min_purity: float = Field(default=0.6, ge=0, le=1)
+    min_purity: float = Field(default=0.65, ge=0, le=1)
     thinning_m: float = Field(default=0.12, gt=0)
     trials: int = Field(default=60, ge=1)
 

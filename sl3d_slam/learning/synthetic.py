@@ -20,10 +20,12 @@ from sl3d_slam.learning.primitives import (
     make_pole,
     sample_surface,
 )
+from sl3d_slam.learning.scan_rings import ScanRings, random_rings
 
 SPACING_M = 22.0
 TILT_DEG = 4.0
-LEAST_PERTURBATION = 0.2
+PERTURBATION, SCANNED_PERTURBATION = (0.2, 1.0), (0.02, 0.2)
+OVERSAMPLING = 20
 
 
 class SyntheticSettings(Settings):
@@ -32,7 +34,9 @@ class SyntheticSettings(Settings):
     ``perturbation`` is the largest shift of a coordinate, as a share of the size of its shape; a
     cloud draws its own strength from 0.2 to 1 times that. ``max_primitives`` shapes at most share
     the points, so that lines are seen as densely as near and as far things are in a scan; 1 is the
-    paper's. A point belongs to an edge within ``reach`` mean point spacings of it.
+    paper's. A point belongs to an edge within ``reach`` mean point spacings of it. A share of
+    ``scanned`` clouds is sampled in rings, as a sensor does, and shifted less: a network that knows
+    even samples alone takes rings for lines. 0 is the paper's.
     """
 
     primitive_points: int = Field(default=4000, ge=50)
@@ -40,6 +44,7 @@ class SyntheticSettings(Settings):
     perturbation: float = Field(default=0.05, ge=0, lt=0.5)
     max_primitives: int = Field(default=8, ge=1)
     reach: float = Field(default=1.0, gt=0)
+    scanned: float = Field(default=0.75, ge=0, le=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,16 +107,33 @@ def _sample(
 ) -> tuple[Points, Int64[np.ndarray, "N"]]:
     """Spread the points over all shapes evenly by area; number the lines through."""
     areas = np.array([shape.areas_m2.sum() for shape in shapes])
-    shares = rng.multinomial(settings.primitive_points, areas / areas.sum())
     reach_m = settings.reach * float(np.sqrt(areas.sum() / settings.primitive_points))
-    strength = settings.perturbation * rng.uniform(LEAST_PERTURBATION, 1.0)
-    clouds, ids, first = [], [], 0
+    rings = _rings_around(len(shapes), settings, rng)
+    least, most = PERTURBATION if rings is None else SCANNED_PERTURBATION
+    strength = settings.perturbation * rng.uniform(least, most)
+    drawn = settings.primitive_points * (1 if rings is None else OVERSAMPLING)
+    shares = rng.multinomial(drawn, areas / areas.sum())
+    clouds, ids, hits, first = [], [], [], 0
     for shape, share in zip(shapes, shares, strict=True):
         points, line_id = sample_surface(shape, int(share), reach_m, rng)
+        hits.append(np.ones(len(points), bool) if rings is None else rings.hit(points))
         clouds.append(perturbed(points, shape.size_m, strength, rng))
         ids.append(np.where(line_id >= 0, line_id + first, BACKGROUND))
         first += len(shape.lines)
-    return np.concatenate(clouds), np.concatenate(ids)
+    hit = np.flatnonzero(np.concatenate(hits))
+    if len(hit) < settings.primitive_points:  # all of it lies between two rings
+        hit = np.arange(drawn)
+    kept = rng.permutation(hit)[: settings.primitive_points]
+    return np.concatenate(clouds)[kept], np.concatenate(ids)[kept]
+
+
+def _rings_around(
+    count: int, settings: SyntheticSettings, rng: np.random.Generator
+) -> ScanRings | None:
+    """Return the sensor that samples a cloud, or None where points are drawn evenly."""
+    if rng.random() >= settings.scanned:
+        return None
+    return random_rings(_place(int(rng.integers(count))), rng)
 
 
 def _placed(row: int, rng: np.random.Generator) -> Primitive:

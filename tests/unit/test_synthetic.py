@@ -7,6 +7,7 @@ import torch
 from sl3d_slam.errors import InputError
 from sl3d_slam.learning.background import clips_of_scans, cut_clips
 from sl3d_slam.learning.primitives import distances_to_segments_m
+from sl3d_slam.learning.scan_rings import ScanRings
 from sl3d_slam.learning.segmentation import (
     Agreement,
     Sample,
@@ -49,12 +50,43 @@ def test_a_cloud_has_the_papers_make_up(clips):
     assert np.ptp(cloud.points, axis=0).max() == pytest.approx(1.0, abs=1e-6)  # float32
 
 
+@pytest.mark.parametrize("scanned", [0.0, 1.0])
+def test_every_cloud_has_all_its_points_however_it_is_sampled(scanned, clips):
+    shapes = SyntheticSettings(
+        primitive_points=400, background_points=100, max_primitives=1, scanned=scanned
+    )
+    assert {len(synthetic_cloud(3, k, clips, shapes).points) for k in range(60)} == {500}
+
+
 def test_a_cloud_is_the_same_again_and_every_seed_another(clips):
     first, again = (synthetic_cloud(7, 123, clips, SMALL) for _ in range(2))
     np.testing.assert_array_equal(first.points, again.points)
     np.testing.assert_array_equal(first.line_id, again.line_id)
     seeds = {synthetic_cloud(seed, 0, clips, SMALL).points.tobytes() for seed in range(150)}
     assert len(seeds) == 150  # the authors' code had 100
+
+
+def test_rings_on_a_wall_lie_as_far_apart_as_the_sensor_turns_between_them(rng):
+    rings = ScanRings(np.array([2.0, -3.0, 1.7]), np.radians(1.2))
+    wall = np.c_[np.full(40_000, 22.0), np.full(40_000, -3.0), rng.uniform(-1.0, 4.0, 40_000)]
+    z = np.sort(wall[rings.hit(wall), 2])
+    starts = z[np.flatnonzero(np.diff(z) > 0.1) + 1]
+    assert len(starts) >= 9  # 5 m of wall, a ring each 0.42 m
+    # 20 m away straight ahead; near the horizon tan(1.2 deg) holds to 1 %
+    np.testing.assert_allclose(np.diff(starts), 20 * np.tan(np.radians(1.2)), rtol=0.03)
+
+
+def test_scanned_clouds_are_labelled_by_the_same_geometry(clips):
+    scanned = SyntheticSettings(
+        primitive_points=2000, background_points=0, perturbation=0.0, scanned=1.0, max_primitives=2
+    )
+    cloud = synthetic_cloud(1, 5, (), scanned)
+    assert len(cloud.points) == 2000
+    distance = distances_to_segments_m(cloud.points.astype(float), cloud.endpoints.astype(float))
+    on_line = cloud.line_id >= 0
+    assert on_line.any()
+    own = distance[np.flatnonzero(on_line), cloud.line_id[on_line]]
+    assert np.median(own) < np.median(distance[~on_line].min(axis=1))
 
 
 def test_perturbation_is_five_percent_of_the_size(rng):

@@ -1,0 +1,93 @@
+"""Which lines a scan is labelled with: its own that others confirm, and theirs that it shows."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64
+
+from sl3d_slam.geometry.se3 import Points
+from sl3d_slam.geometry.segments import Segments, directions, distance_to_line_m, lengths_m
+from sl3d_slam.learning.confirmation import ConfirmationSettings, confirmed, lines_of_others
+from sl3d_slam.learning.labelling import Candidates
+from sl3d_slam.learning.labels import ON_LINE_M
+from sl3d_slam.learning.line_growth import GrowthSettings
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanLines:
+    """What is known of the lines of one scan (lidar frame).
+
+    Attributes
+    ----------
+    votes : of its points.
+    own : found in it and confirmed.
+    nearby : confirmed by scans near by, not found in this one.
+    doubtful : found in it, not confirmed.
+    """
+
+    votes: Float32[np.ndarray, "n"]
+    own: Segments
+    nearby: Float64[np.ndarray, "B 2 3"]
+    doubtful: Float64[np.ndarray, "U 2 3"]
+
+
+def judge_lines(
+    found: Sequence[Candidates],
+    T_world_lidar: Float64[np.ndarray, "S 4 4"],
+    settings: ConfirmationSettings,
+) -> list[ScanLines]:
+    """Let the scans of a drive confirm each other's lines, and tell each other of them."""
+    verdicts = confirmed([c.lines for c in found], T_world_lidar, settings)
+    sure = [c.lines[verdict] for c, verdict in zip(found, verdicts, strict=True)]
+    return [
+        ScanLines(
+            votes=c.votes,
+            own=sure[scan],
+            nearby=lines_of_others(scan, sure, T_world_lidar, settings),
+            doubtful=np.concatenate([c.doubtful, c.lines[~verdicts[scan]]]),
+        )
+        for scan, c in enumerate(found)
+    ]
+
+
+def split_by_sight(
+    points_lidar: Points, lines: ScanLines, settings: GrowthSettings
+) -> tuple[Segments, Float64[np.ndarray, "U 2 3"]]:
+    """Return the lines to label a scan with, and all that are doubtful in it.
+
+    A confirmed line from near by counts, cut to what is seen of it, where the scan has points along
+    it: it was only missed. Where it has none the line is hidden, or the pose is off: doubtful.
+    """
+    cut, shown = visible_parts(points_lidar, lines.nearby, settings)
+    sure = np.concatenate([lines.own, cut])
+    return sure, np.concatenate([lines.doubtful, lines.nearby[~shown]])
+
+
+def visible_parts(
+    points_lidar: Points, segments: Float64[np.ndarray, "B 2 3"], settings: GrowthSettings
+) -> tuple[Segments, Bool[np.ndarray, "B"]]:
+    """Return the parts of segments that a scan shows, and which of them it shows at all.
+
+    A part has ``min_points`` points over ``min_length_m`` at least, and no gap over ``max_gap_m``.
+    """
+    parts = [_visible_part(points_lidar, segment, settings) for segment in segments]
+    shown = np.array([part is not None for part in parts], bool)
+    return np.array([part for part in parts if part is not None]).reshape(-1, 2, 3), shown
+
+
+def _visible_part(
+    points: Points, segment: Float64[np.ndarray, "2 3"], settings: GrowthSettings
+) -> np.ndarray | None:
+    low, high = segment.min(axis=0) - ON_LINE_M, segment.max(axis=0) + ON_LINE_M
+    near = points[np.all((points > low) & (points < high), axis=1)]
+    axis, length_m = directions(segment[None])[0], lengths_m(segment[None])[0]
+    along = np.sort(
+        (near[distance_to_line_m(near, segment[0], axis) < ON_LINE_M] - segment[0]) @ axis
+    )
+    along = along[(along >= 0) & (along <= length_m)]
+    runs = np.split(along, np.flatnonzero(np.diff(along) > settings.max_gap_m) + 1)
+    run = max(runs, key=len)
+    if len(run) < settings.min_points or run[-1] - run[0] < settings.min_length_m:
+        return None
+    return segment[0] + run[[0, -1], None] * axis
