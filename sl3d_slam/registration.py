@@ -66,8 +66,8 @@ def register_lines(
         _checked_cloud(cloud, name)
         for cloud, name in zip(clouds, ("source", "target"), strict=True)
     ]
-    views = prepare_views((source, target), (checked[0], checked[1]), settings)
-    return register_views(*views, settings)
+    sides = prepare_views((source, target), (checked[0], checked[1]), settings)
+    return register_views(*sides, settings)
 
 
 def prepare_views(
