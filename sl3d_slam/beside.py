@@ -94,6 +94,7 @@ class Beside:
         """End the processes; what was not begun is dropped. Notes the most that they held."""
         if self._pool is not None:
             self.workers_peak_mb = max(self.workers_peak_mb, children_peak_mb())
+            _stop_feeding_the_dead(self._pool)
             self._pool.shutdown(cancel_futures=True)
 
     def _begin(self, work: Callable[..., T], *argument: Any) -> "Future[T]":
@@ -104,6 +105,16 @@ class Beside:
             begun = self._pool.submit(work, *argument)
         self._begun = [*(future for future in self._begun if not future.done()), begun]
         return begun
+
+
+def _stop_feeding_the_dead(pool: ProcessPoolExecutor) -> None:
+    """Close the pipe that a killed process no longer reads: a scan may be halfway through it.
+
+    Before Python 3.12.1 the pool itself waits for ever to get rid of it (CPython issue 94777).
+    """
+    processes = getattr(pool, "_processes", None) or {}
+    if getattr(pool, "_broken", False) or not all(p.is_alive() for p in processes.values()):
+        pool._call_queue._reader.close()  # type: ignore[attr-defined]
 
 
 def _halved(points_lidar: Points) -> np.ndarray:

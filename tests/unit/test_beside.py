@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import signal
+import time
 
 import numpy as np
 import pytest
@@ -75,10 +76,12 @@ def test_an_error_in_the_worker_is_raised_as_itself(maker):
         result_of(maker.make_view(np.ones((10, 3))))
 
 
-def test_a_worker_that_is_killed_is_one_sentence():
+@pytest.mark.parametrize("wait_s", [0.0, 0.3])  # by then a scan is halfway through the pipe
+def test_a_worker_that_is_killed_is_one_sentence(wait_s):
     maker = Beside(load_config(), workers=1)
     waiting = maker.make_view(np.random.default_rng(0).uniform(-30, 30, (100_000, 3)))
     (process,) = maker._pool._processes.values()
+    time.sleep(wait_s)
     os.kill(process.pid, signal.SIGKILL)
     with pytest.raises(Sl3dError, match="was killed"):
         result_of(waiting)
