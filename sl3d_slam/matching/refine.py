@@ -17,7 +17,7 @@ ITERATIONS = 5
 ROBUST_M = 0.2
 REACH_M = 0.6
 MOVING_VOXEL_M = 1.0
-MAX_STEPS = 25
+MAX_STEPS = 10
 
 
 def fit_planar(
