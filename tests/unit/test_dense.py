@@ -138,7 +138,16 @@ def test_a_coarse_cloud_has_one_mean_a_voxel_and_nothing_far(rng):
 def test_surfaces_that_lie_badly_on_each_other_say_less():
     hessian = np.diag([1e4] * 3 + [1e3] * 3)
     good, bad = (information_of(fit_of(hessian, misfit=misfit)) for misfit in (0.1, 0.2))
-    np.testing.assert_allclose(np.diag(good / bad), 4.0, rtol=0.05)
+    # twice the misfit, sixteen times the noise, and more where that leaves a direction loose
+    assert np.all(np.diag(good / bad) > 15.0)
+
+
+def test_what_is_held_loosely_errs_by_more_than_noise():
+    tight, loose = (
+        information_of(fit_of(np.diag([1e6, 1e6, 1e6, 1e4, 1e4, held])))[5, 5]
+        for held in (1e4, 1e2)
+    )
+    assert tight > 150.0 * loose  # noise alone would say a hundredfold
 
 
 def test_views_that_share_little_say_less():
@@ -146,8 +155,8 @@ def test_views_that_share_little_say_less():
     much, half, little = (
         np.diag(information_of(fit_of(hessian, support=support))) for support in (0.5, 0.25, 0.1)
     )
-    assert np.all(half > 0.75 * much)
-    assert np.all(little < 0.25 * much)
+    assert np.all(half > 0.6 * much)
+    assert np.all(little < 0.3 * much)
 
 
 def test_the_misfit_of_an_alignment_grows_with_the_roughness_of_surfaces():
