@@ -139,7 +139,7 @@ def test_surfaces_that_lie_badly_on_each_other_say_less():
     hessian = np.diag([1e4] * 3 + [1e3] * 3)
     good, bad = (information_of(fit_of(hessian, misfit=misfit)) for misfit in (0.1, 0.2))
     # twice the misfit, sixteen times the noise, and more where that leaves a direction loose
-    assert np.all(np.diag(good / bad) > 15.0)
+    assert np.all(np.diag(good) / np.diag(bad) > 15.0)
 
 
 def test_what_is_held_loosely_errs_by_more_than_noise():
