@@ -40,7 +40,7 @@ def test_the_network_is_not_asked_where_geometry_is_sure(pair, monkeypatch):
 def test_the_networks_lines_decide_where_geometry_is_not_sure(pair, monkeypatch):
     source, target, T_truth = pair
     asked = asked_of(monkeypatch)
-    monkeypatch.setattr(scan_pair, "SURE_LOG_ODDS", 1e9)
+    monkeypatch.setattr(scan_pair, "LACKING_LOG_ODDS", -1e9)
     answer = PairRegistrar(SlamConfig()).register(source, target)
     assert len(asked) == 2
     np.testing.assert_allclose(answer.registration.T_target_source, T_truth, atol=0.1)
