@@ -16,6 +16,7 @@ from sl3d_slam.graph.pose_graph import PoseGraph
 from sl3d_slam.journal import Journal
 from sl3d_slam.loops.triangle_table import must_compile
 from sl3d_slam.mapping.line_map import LineMap, MapOrigin
+from sl3d_slam.memory import give_back
 from sl3d_slam.rehearsal import rehearse_constellations
 from sl3d_slam.run import StageTimes
 from sl3d_slam.types import Keyframe, LoopConstraint, LoopRecord, Rejection
@@ -24,6 +25,7 @@ from sl3d_slam.worker import Made, Verified
 # keyframes from a search to its effect, so that it may be done beside odometry: with two views in
 # the queue before it, it is over when the third one's is made
 LAG = 3
+KEYFRAMES_TO_TRIM = 64
 OPEN_AT_START = 16  # keyframes while the workers start, about 3 MB each
 
 
@@ -95,6 +97,8 @@ class KeyframeWork:
         kept = self._closer.has_view(keyframe.id)
         view = None if kept else self._beside.make_view(keyframe.points_lidar)
         self._opened.append(_Opened(keyframe.id, scan_index, keyframe.T_odom_lidar, view))
+        if keyframe.id % KEYFRAMES_TO_TRIM == 0:
+            give_back()
 
     def go_on(self) -> None:
         """Take up the keyframes whose views are made; wait where more than a few are open."""
