@@ -20,12 +20,11 @@ from sl3d_slam.memory import give_back
 from sl3d_slam.rehearsal import rehearse_constellations
 from sl3d_slam.run import StageTimes
 from sl3d_slam.types import Keyframe, LoopConstraint, LoopRecord, Rejection
-from sl3d_slam.worker import Made, Verified
+from sl3d_slam.worker import VIEWS_TO_TRIM, Made, Verified
 
 # keyframes from a search to its effect, so that it may be done beside odometry: with two views in
 # the queue before it, it is over when the third one's is made
 LAG = 3
-KEYFRAMES_TO_TRIM = 64
 OPEN_AT_START = 16  # keyframes while the workers start, about 3 MB each
 
 
@@ -97,7 +96,7 @@ class KeyframeWork:
         kept = self._closer.has_view(keyframe.id)
         view = None if kept else self._beside.make_view(keyframe.points_lidar)
         self._opened.append(_Opened(keyframe.id, scan_index, keyframe.T_odom_lidar, view))
-        if keyframe.id % KEYFRAMES_TO_TRIM == 0:
+        if keyframe.id % VIEWS_TO_TRIM == 0:
             give_back()
 
     def go_on(self) -> None:

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
 from sl3d_slam.geometry.se3 import Points
-from sl3d_slam.geometry.segments import Segments, directions, distance_to_line_m, lengths_m
+from sl3d_slam.geometry.segments import Segments, directions, lengths_m
 from sl3d_slam.learning.confirmation import ConfirmationSettings, confirmed, lines_of_others
 from sl3d_slam.learning.labelling import Candidates
-from sl3d_slam.learning.labels import ON_LINE_M
-from sl3d_slam.learning.line_growth import GrowthSettings
+from sl3d_slam.learning.labels import close_to
+from sl3d_slam.learning.line_growth import GrowthSettings, longest_run
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,15 +79,12 @@ def visible_parts(
 def _visible_part(
     points: Points, segment: Float64[np.ndarray, "2 3"], settings: GrowthSettings
 ) -> np.ndarray | None:
-    low, high = segment.min(axis=0) - ON_LINE_M, segment.max(axis=0) + ON_LINE_M
-    near = points[np.all((points > low) & (points < high), axis=1)]
     axis, length_m = directions(segment[None])[0], lengths_m(segment[None])[0]
-    along = np.sort(
-        (near[distance_to_line_m(near, segment[0], axis) < ON_LINE_M] - segment[0]) @ axis
-    )
-    along = along[(along >= 0) & (along <= length_m)]
-    runs = np.split(along, np.flatnonzero(np.diff(along) > settings.max_gap_m) + 1)
-    run = max(runs, key=len)
-    if len(run) < settings.min_points or run[-1] - run[0] < settings.min_length_m:
+    near = points[close_to(points, segment[None], settings.reach_m)]
+    along = (near - segment[0]) @ axis
+    beside = near[(along >= 0) & (along <= length_m)]
+    run = beside[longest_run(beside, (segment[0], axis), settings)]
+    along = (run - segment[0]) @ axis
+    if len(run) < settings.min_points or np.ptp(along) < settings.min_length_m:
         return None
-    return segment[0] + run[[0, -1], None] * axis
+    return segment[0] + np.array([[along.min()], [along.max()]]) * axis

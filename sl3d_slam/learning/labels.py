@@ -78,7 +78,7 @@ def label_points(
     for segments, sure in ((doubtful, False), (lines, True)):
         if len(segments) == 0:
             continue
-        near = _close_to(points_lidar, segments, NEAR_LINE_M)
+        near = close_to(points_lidar, segments, NEAR_LINE_M)
         distance = distances_to_segments_m(points_lidar[near], segments)
         line_id[near[distance.min(axis=1) < NEAR_LINE_M]] = UNKNOWN
         if sure:
@@ -90,7 +90,7 @@ def label_points(
     return ScanLabels(number[line_id].astype(np.int32), lines[kept].astype(np.float32))
 
 
-def _close_to(points: Points, segments: Segments, reach_m: float) -> np.ndarray:
+def close_to(points: Points, segments: Segments, reach_m: float) -> np.ndarray:
     """Return the points in the box around any segment, so that few distances are computed."""
     low, high = segments.min(axis=1) - reach_m, segments.max(axis=1) + reach_m
     inside = np.zeros(len(points), bool)

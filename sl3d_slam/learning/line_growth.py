@@ -77,7 +77,7 @@ def _lines_of(
     left, found = points, []
     while len(left) >= settings.min_points:
         line = _settled(left, _best_line(left, settings, rng), settings)
-        on_line = _longest_run(left, line, settings)
+        on_line = longest_run(left, line, settings)
         if len(on_line) < settings.min_points:
             break
         along = (left[on_line] - line[0]) @ line[1]
@@ -103,7 +103,7 @@ def _settled(points: Points, line: Line, settings: GrowthSettings) -> Line:
     """Fit a line to the points around it, the less a point counts the farther it is off."""
     for _ in range(SETTLING):
         distance = distance_to_line_m(points, *line)
-        near = _longest_run(points, line, settings)
+        near = longest_run(points, line, settings)
         weights = 1.0 / (1.0 + (distance[near] / (0.5 * settings.reach_m)) ** 2)
         line = _fitted(points[near], weights)
     return line
@@ -136,7 +136,7 @@ def _fitted(points: Points, weights: Float64[np.ndarray, "N"] | None = None) -> 
     return origin, np.linalg.svd(centred, full_matrices=False)[2][0]
 
 
-def _longest_run(points: Points, line: Line, settings: GrowthSettings) -> Int64[np.ndarray, "_"]:
+def longest_run(points: Points, line: Line, settings: GrowthSettings) -> Int64[np.ndarray, "_"]:
     """Return the points near a line, of its densest stretch without a gap."""
     near = np.flatnonzero(distance_to_line_m(points, *line) < settings.reach_m)
     along = (points[near] - line[0]) @ line[1]

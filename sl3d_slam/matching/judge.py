@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float32, Float64, Int64
 
 from sl3d_slam.config import MatchingSettings
 from sl3d_slam.geometry.se3 import Transform, distance_m, invert, rotation_angle_rad
@@ -131,11 +131,15 @@ def likeness(source: LineSet, target: LineSet, matches: Int64[np.ndarray, "M 2"]
     In standard deviations of the cosine of two descriptors; a match that is less alike than most
     adds nothing. Without descriptors each match counts 1.
     """
-    if len(matches) == 0 or 0 in (source.descriptors.shape[1], target.descriptors.shape[1]):
-        return float(len(matches))
+    return float(standing_out(source, target)[matches[:, 0], matches[:, 1]].sum())
+
+
+def standing_out(source: LineSet, target: LineSet) -> Float32[np.ndarray, "S T"]:
+    """Return what each pair of lines would add to the likeness."""
+    if 0 in (len(source), len(target), source.descriptors.shape[1], target.descriptors.shape[1]):
+        return np.ones((len(source), len(target)), np.float32)
     cosine = source.descriptors @ target.descriptors.T
-    excess = cosine[matches[:, 0], matches[:, 1]] - cosine.mean()
-    return float(np.maximum(excess, 0.0).sum() / max(float(cosine.std()), MIN_SPREAD))
+    return np.maximum(cosine - cosine.mean(), 0.0) / max(float(cosine.std()), MIN_SPREAD)
 
 
 def matched_lines(

@@ -1,5 +1,6 @@
 """A view with everything that matching derives from it, each part made when first needed."""
 
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 
@@ -19,10 +20,7 @@ GROUND_REACH_M = 8.0
 MIN_GROUND_POINTS = 50
 RASTER_CELL_M = 1.0
 RASTER_SIZE = 160
-OF_THE_CLOUD = (
-    *("T_level_lidar", "level_points", "level_structure", "field", "image"),
-    *("_seen", "dense", "thinned", "moving", "street", "street_raster"),
-)
+OF_THE_LINES = ("verticals", "slope")
 
 
 class PreparedView:
@@ -30,13 +28,14 @@ class PreparedView:
 
     def __init__(self, view: View, settings: MatchingSettings) -> None:
         self.view = view
-        self._settings = settings
+        self._max_angle_rad = np.radians(2.0 * settings.angle_tolerance_deg)
 
     def with_lines(self, lines: LineSet) -> "PreparedView":
         """Return the same view with other lines of the same scan, levelled alike."""
-        other = PreparedView(replace(self.view, lines=lines), self._settings)
-        made = vars(self)
-        vars(other).update({name: made[name] for name in OF_THE_CLOUD if name in made})
+        other = copy(self)
+        other.view = replace(self.view, lines=lines)
+        for name in OF_THE_LINES:
+            vars(other).pop(name, None)
         return other
 
     def prepare(self, moves: bool) -> "PreparedView":
@@ -61,8 +60,7 @@ class PreparedView:
     @cached_property
     def verticals(self) -> Verticals:
         """The standing lines, in the levelled frame."""
-        max_angle_rad = np.radians(2.0 * self._settings.angle_tolerance_deg)
-        return find_verticals(self.view.lines, self.T_level_lidar, max_angle_rad)
+        return find_verticals(self.view.lines, self.T_level_lidar, self._max_angle_rad)
 
     @cached_property
     def level_points(self) -> Points:

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from sl3d_slam.config import MatchingSettings
 from sl3d_slam.matching import field
 from sl3d_slam.matching.consistency import PlanarPoses, enumerate_poses, thin_poses
-from sl3d_slam.matching.judge import likeness, lines_under
+from sl3d_slam.matching.judge import lines_under, standing_out
 from sl3d_slam.matching.prepared import PreparedView
 
 NUM_REFINED, NUM_ALIKE = 3, 5  # poses that fields and lines like best, whose lines are most alike
@@ -97,19 +97,15 @@ def most_alike(
 
     From those that the fields and those that lines like, best first.
     """
-    tried = poses[0][distinct(poses[0], NUM_REFINED)]
     compared = [some[distinct(some, NUM_COMPARED)] for some in poses]
-    some = np.concatenate([tried, *compared])
-    others = some[distinct(some, len(some))[len(tried) :]]
-    agreement = field_agreement(source, target, np.concatenate([tried[:1], others]))
-    alike = [_alike(source, target, pose, settings) for pose in others]
-    order = np.argsort(-(agreement[1:] + ALIKE_VOTE * np.log1p(alike)), kind="stable")
-    for k in order[:NUM_ALIKE]:
-        yield others[k], float(agreement[1 + k] - agreement[0])
-
-
-def _alike(
-    source: PreparedView, target: PreparedView, pose: np.ndarray, settings: MatchingSettings
-) -> float:
-    matches = lines_under(source, target, pose, settings.inlier_distance_m)
-    return likeness(source.view.lines, target.view.lines, matches)
+    num_tried = min(NUM_REFINED, len(compared[0]))
+    some = np.concatenate(compared)
+    some = some[distinct(some, len(some))]  # those that were tried come first
+    best, others = some[:1], some[num_tried:]
+    lacking = field_agreement(source, target, others) - field_agreement(source, target, best)
+    pairs = standing_out(source.view.lines, target.view.lines)
+    reach_m = settings.inlier_distance_m
+    matches = [lines_under(source, target, pose, reach_m) for pose in others]
+    alike = np.array([pairs[rows[:, 0], rows[:, 1]].sum() for rows in matches], np.float64)
+    for k in np.argsort(-(lacking + ALIKE_VOTE * np.log1p(alike)), kind="stable")[:NUM_ALIKE]:
+        yield others[k], float(lacking[k])

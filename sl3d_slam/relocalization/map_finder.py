@@ -14,7 +14,7 @@ from sl3d_slam.matching.dense import DenseCloud, prepare
 from sl3d_slam.matching.judge import Evidence, gather_near, objection
 from sl3d_slam.matching.prepared import PreparedView, flatten, lift
 from sl3d_slam.matching.refine import fit_planar
-from sl3d_slam.matching.seeds import field_agreement
+from sl3d_slam.matching.seeds import LINE_VOTE, field_agreement
 from sl3d_slam.relocalization.retrieval import MapGuess, MapRetrieval
 from sl3d_slam.types import Relocalization, View
 
@@ -27,7 +27,6 @@ CONFIDENCE_SLOPE, CONFIDENCE_BIAS = 0.52, 1.0  # see confidence
 # of both fields' mean values: 44 right guesses reached 1.14 and more, 76 wrong ones 0.63 at most
 MIN_FIELD = 0.6
 RIVAL_SHARE = 0.7  # of the best guess's score, above which another is refined in any case
-LINE_VOTE = 0.05  # what one agreeing line adds to the mean field value
 CACHE_SIZE = 64
 DENSE_RADIUS_M = 45.0  # of a place that a scan is aligned with: half of the cost, the same pose
 
