@@ -9,6 +9,7 @@ from sl3d_slam.bench.drives import Comparison, Drive
 from sl3d_slam.bench.loop_detectors import PEERS, Detection
 from sl3d_slam.bench.loop_figures import COLUMNS, FALSE_COLUMNS, NOTES, Curve, false_ones, judge
 from sl3d_slam.bench.loop_pictures import draw_curves
+from sl3d_slam.bench.loop_revisits import find_revisits, that_overlap
 from sl3d_slam.bench.loop_runner import to_detections
 from sl3d_slam.bench.process import run_runner
 from sl3d_slam.bench.systems import OURS
@@ -45,6 +46,7 @@ def run(
         if opened.truth is None:
             raise InputError(f"{opened.name}: has no true poses to judge loops by")
         truth = opened.truth[: drive.count(opened)]
+        revisits = that_overlap(find_revisits(truth), drive.stream(opened), truth)
         kind = "simulated" if opened.simulated else "real"
         curves: dict[str, dict[str, Curve]] = {}
         for detector in (OURS, *bench.peers):
@@ -53,7 +55,7 @@ def run(
             if status != "ok":
                 rows.append({**head, "status": status})
                 continue
-            figures, curves[detector] = judge(found, truth)
+            figures, curves[detector] = judge(found, truth, revisits)
             wrong += [{**head, **row} for row in false_ones(found, truth)]
             rows += [{**head, **row, "wall_s": wall_s, "status": status} for row in figures]
         name = f"loops_{number}_{opened.name.replace(' ', '_')}.png"

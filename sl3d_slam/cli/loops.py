@@ -80,8 +80,9 @@ def _figures(
     if truth is not None:
         from sl3d_slam.bench.loop_detectors import as_detection
         from sl3d_slam.bench.loop_figures import judge
+        from sl3d_slam.bench.loop_revisits import find_revisits
 
-        rows, _ = judge([as_detection(loop) for loop in found], truth)
+        rows, _ = judge([as_detection(loop) for loop in found], truth, find_revisits(truth))
         figures |= {
             key: rows[0].get(key)
             for key in ("false", "num_revisits", "precision_percent", "recall_percent")

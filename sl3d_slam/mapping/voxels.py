@@ -175,7 +175,7 @@ def _no_voxels() -> Voxels:
 def _voxels_of_scan(cloud: np.ndarray, T_map_lidar: Transform, voxel_m: float) -> Voxels:
     points = transform_points(T_map_lidar, cloud.astype(np.float64))
     keys, inverse, count = np.unique(
-        _fold(points, voxel_m), return_inverse=True, return_counts=True
+        voxel_keys(points, voxel_m), return_inverse=True, return_counts=True
     )
     sums = np.empty((len(keys), 3))
     for axis in range(3):
@@ -183,8 +183,8 @@ def _voxels_of_scan(cloud: np.ndarray, T_map_lidar: Transform, voxel_m: float) -
     return Voxels(keys, sums, count.astype(np.int64), np.ones(len(keys), np.int64))
 
 
-def _fold(points: Points, voxel_m: float) -> Int64[np.ndarray, "N"]:
-    """Join the three voxel indices of each point to one number."""
+def voxel_keys(points: Points, voxel_m: float) -> Int64[np.ndarray, "N"]:
+    """Return one number for the voxel of each point, from its three indices."""
     index = np.floor(points / voxel_m).astype(np.int64) + HALF_RANGE
     if len(index) and (index.min() < 0 or index.max() >= 2 * HALF_RANGE):
         raise ValueError(f"a point lies more than {HALF_RANGE} voxels from the map's origin")

@@ -9,15 +9,16 @@ import pytest
 from rich.console import Console
 
 from sl3d_slam.bench.loop_detectors import Detection
-from sl3d_slam.bench.loop_figures import false_ones, find_revisits, is_right, judge
+from sl3d_slam.bench.loop_figures import false_ones, is_right, judge
+from sl3d_slam.bench.loop_revisits import find_revisits, that_overlap
 from sl3d_slam.bench.registration_figures import COLUMNS as PAIR_COLUMNS
 from sl3d_slam.bench.registration_figures import figures, measure, recall_curve
 from sl3d_slam.bench.registration_methods import Attempt
 from sl3d_slam.bench.slam_figures import COLUMNS, accuracy, growth
 from sl3d_slam.bench.tables import Column, Table, draw_table, to_csv, to_markdown, to_rich
 from sl3d_slam.errors import InputError
-from sl3d_slam.geometry.se3 import from_yaw, invert
-from sl3d_slam.types import LoopRecord
+from sl3d_slam.geometry.se3 import from_yaw, invert, transform_points
+from sl3d_slam.types import LoopRecord, Scan
 
 T_TRUE = from_yaw(0.7, np.array([10.0, -3.0, 0.5]))
 
@@ -149,7 +150,7 @@ def test_right_loops_raise_recall_wrong_ones_lower_precision():
     found = [loop(truth, 100 + k, k) for k in range(0, 50, 5)]
     found.append(loop(truth, 170, 20, metres=0.0))  # far apart, and honest about it
     found.append(loop(truth, 180, 80, metres=9.0, score=3.0))
-    rows, curves = judge(found, truth)
+    rows, curves = judge(found, truth, find_revisits(truth))
     everything = rows[0]
     assert everything["num_revisits"] == pytest.approx(104, abs=2)  # the second round, 4 m early
     assert (everything["detections"], everything["false"]) == (12, 1)
@@ -171,7 +172,7 @@ def test_rejected_candidates_lengthen_the_curve_but_not_the_result():
         loop(truth, 110, 10, score=1010.0),
         loop(truth, 150, 50, score=7.0, accepted=False),
     ]
-    rows, curves = judge(found, truth)
+    rows, curves = judge(found, truth, find_revisits(truth))
     assert rows[0]["detections"] == 1
     assert curves["all"].recall[-1] == pytest.approx(2 * curves["all"].own[1], rel=0.01)
 
@@ -185,8 +186,37 @@ def test_local_maps_are_judged_where_they_meet():
     assert not is_right(swapped, truth)
 
 
+def test_a_closure_of_local_maps_speaks_for_all_of_them_and_nearby_for_a_few_scans():
+    truth = twice_round()
+    T_target_query = invert(truth[0]) @ truth[100]
+    closure = Detection((100, 150), (0, 50), 100, 0, T_target_query, 9.0, True)
+    row = judge([closure], truth, find_revisits(truth))[0][0]
+    # All of 96 to 154; nearby only what is within 5 m of where they meet.
+    assert row["recall_sure_percent"] == pytest.approx(100 * 59 / 104, abs=3)
+    assert row["recall_near_percent"] == pytest.approx(100 * 11 / 104, abs=5)
+    single = judge([loop(truth, 120, 20)], truth, find_revisits(truth))[0][0]
+    assert single["recall_near_percent"] == single["recall_sure_percent"]
+
+
+def test_scans_that_share_little_are_no_revisit():
+    truth = twice_round()
+    rng = np.random.default_rng(5)
+    world = rng.uniform(-40.0, 40.0, (2000, 3))
+    upstairs = world + np.array([0.0, 0.0, 90.0])  # seen from 130 to 159 in place of what is below
+
+    def scan(k):
+        seen = upstairs if 130 <= k < 160 else world
+        return Scan(k, 0.1 * k, transform_points(invert(truth[k]), seen))
+
+    near = find_revisits(truth)
+    kept = that_overlap(near, (scan(k) for k in range(200)), truth)
+    lost = set(near.pairs[:, 0].tolist()) - set(kept.pairs[:, 0].tolist())
+    assert lost == set(range(130, 160))
+    assert len(kept.pairs) == len(kept.is_reverse)
+
+
 def test_no_detection_at_all_has_no_precision():
-    rows, _ = judge([], street_and_back())
+    rows, _ = judge([], street_and_back(), find_revisits(street_and_back()))
     assert rows[0]["precision_percent"] is None
     assert rows[0]["recall_percent"] == 0.0
 
