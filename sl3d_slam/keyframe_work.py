@@ -25,7 +25,7 @@ from sl3d_slam.worker import VIEWS_TO_TRIM, Made, Verified
 # keyframes from a search to its effect, so that it may be done beside odometry: with two views in
 # the queue before it, it is over when the third one's is made
 LAG = 3
-OPEN_AT_START = 16  # keyframes while the workers start, about 3 MB each
+OPEN_AT_START = 24  # keyframes while the workers start, about 2 MB each
 
 
 class _Opened(NamedTuple):
@@ -73,6 +73,7 @@ class KeyframeWork:
         self._searched: deque[_Searched] = deque()
         self._rejections: list[Rejection] = []
         self._times = times
+        self._open_limit = OPEN_AT_START
 
     @property
     def is_ready(self) -> bool:
@@ -100,9 +101,13 @@ class KeyframeWork:
             give_back()
 
     def go_on(self) -> None:
-        """Take up the keyframes whose views are made; wait where more than a few are open."""
-        starting = self._beside.workers > 0 and not self._beside.is_ready
-        self._take_up(OPEN_AT_START if starting else 2 * self._beside.workers)
+        """Take up the keyframes whose views are made; wait where more than a few are open.
+
+        Those that the start left open are waited for one a scan, so that no scan waits for all.
+        """
+        if self._beside.workers == 0 or self._beside.is_ready:
+            self._open_limit = max(self._open_limit - 1, 2 * self._beside.workers)
+        self._take_up(self._open_limit)
 
     def finish(self) -> None:
         """Take up all that are open, let all searches take effect and end the workers."""

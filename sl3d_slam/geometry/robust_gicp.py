@@ -1,46 +1,17 @@
 """The normal equations of generalised ICP against voxels, with a robust kernel; compiled.
 
 Cost of a point p with normal n that falls into a voxel with mean m and covariance C: e = r' M r
-with r = m - T p and M = (C + R A R')^-1, where A = I - (1 - f) n n' is a plane's covariance (Segal
-et al., RSS 2009, f = 0.001). Its weight is (w / (w + e))^2, Geman and McClure's, of width w.
+with r = m - T p and M = (C + R A R')^-1, where A = I - (1 - f) n n' is a plane's covariance, as in
+:mod:`gaussian_voxels`. Its weight is (w / (w + e))^2, Geman and McClure's, of width w.
 """
 
-from typing import NamedTuple, no_type_check
+from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float64, Int32, Int64
 from numba import njit
 
-from sl3d_slam.geometry.voxel_table import new_table, slot_of, voxel_key
-
-FLATNESS = 1.0 - 1e-3
-
-
-class Voxels(NamedTuple):
-    """Means and row-major covariances of V voxels, their keys, and the table that finds them."""
-
-    means: Float64[np.ndarray, "V 4"]
-    covariances: Float64[np.ndarray, "V 16"]
-    keys: Int64[np.ndarray, "V"]
-    table: Int32[np.ndarray, "T"]
-
-
-def voxels_of(
-    means: Float64[np.ndarray, "V 4"], covariances: Float64[np.ndarray, "V 16"], voxel_m: float
-) -> Voxels:
-    """Make voxels ready to be found."""
-    return Voxels(means, covariances, *_find_rows(means, voxel_m))
-
-
-@njit(cache=True, nogil=True)
-@no_type_check
-def _find_rows(means: np.ndarray, voxel_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the keys of voxels and the table that finds their rows."""
-    table, keys = new_table(len(means)), np.empty(len(means), np.int64)
-    for row in range(len(means)):
-        keys[row] = voxel_key(means[row, 0], means[row, 1], means[row, 2], voxel_m)
-        table[slot_of(table, keys, keys[row])] = row
-    return keys, table
+from sl3d_slam.geometry.gaussian_voxels import FLATNESS, VOXEL_M, Voxels
+from sl3d_slam.geometry.voxel_table import slot_of, voxel_key
 
 
 @njit(cache=True, nogil=True)
@@ -50,7 +21,6 @@ def normal_equations(
     normals: np.ndarray,
     voxels: Voxels,
     T_map_lidar: np.ndarray,
-    voxel_m: float,
     width: float,
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Return Hessian (6, 6), gradient (6,), sum of weighted costs, sum of weights.
@@ -65,7 +35,7 @@ def normal_equations(
     cost, total = 0.0, 0.0
     for i in range(len(points)):
         _turn(R, points[i], a)
-        key = voxel_key(a[0] + t[0], a[1] + t[1], a[2] + t[2], voxel_m)
+        key = voxel_key(a[0] + t[0], a[1] + t[1], a[2] + t[2], VOXEL_M)
         row = voxels.table[slot_of(voxels.table, voxels.keys, key)]
         if row < 0:
             continue
@@ -93,13 +63,13 @@ def _turn(R: np.ndarray, v: np.ndarray, out: np.ndarray) -> None:
 @njit(cache=True, nogil=True, inline="always")
 @no_type_check
 def _information(covariance: np.ndarray, n: np.ndarray, M: np.ndarray) -> None:
-    """Write ``(C + I - FLATNESS n n')^-1`` by its cofactors; C is a row-major 4x4."""
+    """Write ``(C + I - FLATNESS n n')^-1`` by its cofactors; C is given by its upper triangle."""
     c00 = covariance[0] + 1.0 - FLATNESS * n[0] * n[0]
     c01 = covariance[1] - FLATNESS * n[0] * n[1]
     c02 = covariance[2] - FLATNESS * n[0] * n[2]
-    c11 = covariance[5] + 1.0 - FLATNESS * n[1] * n[1]
-    c12 = covariance[6] - FLATNESS * n[1] * n[2]
-    c22 = covariance[10] + 1.0 - FLATNESS * n[2] * n[2]
+    c11 = covariance[3] + 1.0 - FLATNESS * n[1] * n[1]
+    c12 = covariance[4] - FLATNESS * n[1] * n[2]
+    c22 = covariance[5] + 1.0 - FLATNESS * n[2] * n[2]
     m00, m01, m02 = c11 * c22 - c12 * c12, c02 * c12 - c01 * c22, c01 * c12 - c02 * c11
     scale = 1.0 / (c00 * m00 + c01 * m01 + c02 * m02)
     M[0, 0], M[0, 1], M[0, 2] = m00 * scale, m01 * scale, m02 * scale

@@ -3,13 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-import small_gicp
 from jaxtyping import Float64
 
-from sl3d_slam.geometry.robust_gicp import Voxels, normal_equations, voxels_of
+from sl3d_slam.geometry.gaussian_voxels import Surfaces, Voxels
+from sl3d_slam.geometry.robust_gicp import normal_equations
 from sl3d_slam.geometry.se3 import Transform, exp
 
-VOXEL_M = 1.0
 FIRST_WIDTH, LAST_WIDTH = 16.0, 0.5  # of the kernel; a plane of two centimetres' noise costs 0.2
 NARROWING = 0.25
 MAX_STEPS = 20
@@ -37,33 +36,17 @@ class SurfaceFit:
     rests: bool
 
 
-def gaussian_voxels(points: small_gicp.PointCloud) -> small_gicp.GaussianVoxelMap:
-    """Return the voxels of a cloud with covariances."""
-    voxels = small_gicp.GaussianVoxelMap(VOXEL_M)
-    voxels.insert(points, np.eye(4))
-    return voxels
-
-
-def find_voxels(voxels: small_gicp.GaussianVoxelMap) -> Voxels:
-    """Make voxels ready to lay surfaces on."""
-    means = np.ascontiguousarray(voxels.voxel_points())
-    covariances = np.ascontiguousarray(voxels.voxel_covs()).reshape(-1, 16)
-    return voxels_of(means, covariances, VOXEL_M)
-
-
-def lay_on(voxels: Voxels, surfaces: small_gicp.PointCloud, T_led: Transform) -> SurfaceFit:
-    """Lay surfaces (points with normals) on voxels from a pose some decimetres off at most.
+def lay_on(voxels: Voxels, surfaces: Surfaces, T_led: Transform) -> SurfaceFit:
+    """Lay surfaces on voxels from a pose some decimetres off at most.
 
     Voxelised GICP (Koide et al., ICRA 2021) by Gauss-Newton. The kernel of Geman and McClure
     narrows step by step (graduated non-convexity, Zhou et al., ECCV 2016), so that surfaces far
     off can still pull, and in the end count for nothing.
     """
-    points = np.ascontiguousarray(surfaces.points()[:, :3])
-    normals = np.ascontiguousarray(surfaces.normals()[:, :3])
     T_target_source, width, rests = np.ascontiguousarray(T_led), FIRST_WIDTH, False
     for _ in range(MAX_STEPS):
         hessian, gradient, cost, weight = normal_equations(
-            points, normals, voxels, T_target_source, VOXEL_M, width
+            *surfaces, voxels, T_target_source, width
         )
         step = -np.linalg.solve(hessian + LOOSE, gradient)
         T_target_source = T_target_source @ exp(step)
@@ -71,7 +54,7 @@ def lay_on(voxels: Voxels, surfaces: small_gicp.PointCloud, T_led: Transform) ->
         if rests and width == LAST_WIDTH:
             break
         width = max(LAST_WIDTH, NARROWING * width)
-    support = weight / max(len(points), 1)
+    support = weight / max(len(surfaces.points), 1)
     return SurfaceFit(T_target_source, hessian, cost / max(weight, 1e-9), support, rests)
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import small_gicp
 from jaxtyping import Float32, Float64
 
-from sl3d_slam.geometry.robust_gicp import Voxels
+from sl3d_slam.geometry.gaussian_voxels import GaussianVoxels, Surfaces, Voxels
 from sl3d_slam.geometry.se3 import Points, Transform
-from sl3d_slam.geometry.surface_fit import SurfaceFit, find_voxels, gaussian_voxels, lay_on
+from sl3d_slam.geometry.surface_fit import SurfaceFit, lay_on
 from sl3d_slam.geometry.voxel_means import voxel_means
 
 MAX_RANGE_M = 70.0
@@ -37,14 +37,17 @@ class DenseCloud:
     def __init__(self, cloud: Float32[np.ndarray, "M 3"]) -> None:
         self.points = small_gicp.PointCloud(cloud.astype(np.float64))
         self.tree = small_gicp.KdTree(self.points)
-        small_gicp.estimate_covariances(  # a point at a time: the same for any number of threads
+        # a point at a time: the same for any number of threads
+        small_gicp.estimate_normals_covariances(
             self.points, self.tree, num_neighbors=NEIGHBOURS, num_threads=THREADS
         )
 
     @cached_property
     def voxels(self) -> Voxels:
         """The cloud's surfaces for others to be laid on."""
-        return find_voxels(gaussian_voxels(self.points))
+        voxels = GaussianVoxels()
+        voxels.insert(Surfaces.of(self.points), np.eye(4))
+        return voxels.rows
 
 
 MovingClouds = tuple[small_gicp.PointCloud, ...]  # one a stage
@@ -106,7 +109,7 @@ def finish(
     GICP takes the nearest point for a partner, and rings lie where the sensor stood: what remains
     of that, and of what moved between the scans, falls to a third.
     """
-    fit = lay_on(target.voxels, moving, np.asarray(result.T_target_source))
+    fit = lay_on(target.voxels, Surfaces.of(moving), np.asarray(result.T_target_source))
     return DenseAlignment(fit, float(result.num_inliers / max(1, moving.size())))
 
 

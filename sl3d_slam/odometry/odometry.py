@@ -11,7 +11,6 @@ on a KITTI drive at 14 m/s: 0.06 m found, 1.44 m true), so that one is tried fro
 from typing import TypeGuard
 
 import numpy as np
-import small_gicp
 from jaxtyping import Float64
 from kiss_icp.mapping import get_voxel_hash_map
 from kiss_icp.preprocess import get_preprocessor
@@ -21,6 +20,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from sl3d_slam.config import InputSettings, OdometrySettings
+from sl3d_slam.geometry.gaussian_voxels import Surfaces
 from sl3d_slam.geometry.se3 import (
     Points,
     Transform,
@@ -39,7 +39,7 @@ from sl3d_slam.types import RegisteredScan, Scan
 TRANSLATION_GRID_M = 1e-5
 QUATERNION_GRID = 1e-7
 COARSE_STEP_M = 0.02
-COARSE_SOURCE_VOXELS = 2.0
+COARSE_SOURCE_VOXELS = 3.0
 SOURCE_VOXELS = 1.5
 START_GAIN = 0.95
 
@@ -91,11 +91,11 @@ class Odometry:
         return RegisteredScan(scan.index, scan.stamp_s, points, T_odom_lidar, self._covariance)
 
     def _find_pose(
-        self, map_points: Points, surfaces: small_gicp.PointCloud | None, guess: Transform
+        self, map_points: Points, surfaces: Surfaces | None, guess: Transform
     ) -> Transform:
         """Find the pose near the constant-velocity guess, by full effort where a quick one fails.
 
-        Surfaces need only be led near: half of KISS-ICP's points and steps of 2 cm make no
+        Surfaces need only be led near: a quarter of KISS-ICP's points and steps of 2 cm make no
         difference of a millimetre, unless the vehicle starts to turn or brakes hard. Then the
         surfaces have far to go or do not settle (1 scan in 150), and a full alignment leads them.
         """
@@ -111,23 +111,17 @@ class Odometry:
         first = cKDTree(self._first_points)
         return self._best_of_starts(source, surfaces, standing_points(map_points), first)
 
-    def _align(
-        self, source: Points, surfaces: small_gicp.PointCloud | None, guess: Transform
-    ) -> Transform:
+    def _align(self, source: Points, surfaces: Surfaces | None, guess: Transform) -> Transform:
         """Align points to points by KISS-ICP, then, where asked, surfaces to surfaces."""
         T_odom_lidar = self._align_within(self._fine, source, guess)
         if self._can_refine(surfaces):
             T_odom_lidar, _ = self._refine(surfaces, T_odom_lidar)
         return _on_grid(T_odom_lidar)
 
-    def _can_refine(
-        self, surfaces: small_gicp.PointCloud | None
-    ) -> TypeGuard[small_gicp.PointCloud]:
-        return surfaces is not None and surfaces.size() > 0 and self._surfaces.num_voxels > 0
+    def _can_refine(self, surfaces: Surfaces | None) -> TypeGuard[Surfaces]:
+        return surfaces is not None and len(surfaces.points) > 0 and self._surfaces.num_voxels > 0
 
-    def _refine(
-        self, surfaces: small_gicp.PointCloud, T_odom_led: Transform
-    ) -> tuple[Transform, bool]:
+    def _refine(self, surfaces: Surfaces, T_odom_led: Transform) -> tuple[Transform, bool]:
         """Align surfaces to surfaces; also tell whether they settled where they were led to.
 
         The scan rings on the ground move with the sensor: point-to-point matches let them hold it
@@ -153,7 +147,7 @@ class Odometry:
     def _best_of_starts(
         self,
         source: Float64[np.ndarray, "S 3"],
-        surfaces: small_gicp.PointCloud | None,
+        surfaces: Surfaces | None,
         standing: Points,
         first: cKDTree,
     ) -> Transform:

@@ -22,7 +22,7 @@ def start_positions() -> Float64[np.ndarray, "S 3"]:
 def standing_points(points_lidar: Points) -> Float64[np.ndarray, "S 3"]:
     """Return the points on surfaces that stand, by which a step can be told; all if too few do."""
     surfaces = surfaces_of(points_lidar)
-    standing = surfaces.points()[np.abs(surfaces.normals()[:, 2]) < LYING, :3]
+    standing = surfaces.points[np.abs(surfaces.normals[:, 2]) < LYING]
     return standing if len(standing) >= LEAST_STANDING else points_lidar
 
 

@@ -1,17 +1,17 @@
 """The surfaces of the last scans in voxels, and the pose at which a scan's lie on them.
 
-small_gicp keeps the voxels; its Python interface has no robust kernel, and without one moving cars
-pull: where an eighth of the points drive along, a step erred by 56 mm along the road, with it by 5,
-and by half as much everywhere.
+small_gicp's voxelised GICP has no robust kernel in Python, and without one moving cars pull: where
+an eighth of the points drive along, a step erred by 56 mm along the road, with it by 5, and by half
+as much everywhere.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-import small_gicp
 
+from sl3d_slam.geometry.gaussian_voxels import GaussianVoxels, Surfaces
 from sl3d_slam.geometry.se3 import Transform, distance_m, invert, rotation_angle_rad
-from sl3d_slam.geometry.surface_fit import VOXEL_M, SurfaceFit, find_voxels, lay_on
+from sl3d_slam.geometry.surface_fit import SurfaceFit, lay_on
 
 MEMORY_SCANS = 150
 SETTLED_M = 0.2  # surfaces that move a pose by more were led to the wrong place
@@ -30,21 +30,20 @@ class SurfaceMap:
     """Surfaces of the last 150 scans, one mean and covariance a voxel of a metre."""
 
     def __init__(self) -> None:
-        self._voxels = small_gicp.GaussianVoxelMap(VOXEL_M)
-        self._voxels.set_lru(horizon=MEMORY_SCANS, clear_cycle=10)
+        self._voxels = GaussianVoxels(MEMORY_SCANS)
 
     @property
     def num_voxels(self) -> int:
         """How many voxels there are."""
-        return int(self._voxels.size())
+        return len(self._voxels)
 
-    def insert(self, surfaces: small_gicp.PointCloud, T_map_lidar: Transform) -> None:
+    def insert(self, surfaces: Surfaces, T_map_lidar: Transform) -> None:
         """Add a scan's surfaces."""
         self._voxels.insert(surfaces, T_map_lidar)
 
-    def align(self, surfaces: small_gicp.PointCloud, T_map_led: Transform) -> Alignment:
+    def align(self, surfaces: Surfaces, T_map_led: Transform) -> Alignment:
         """Lay surfaces on the map's from a pose near it; the map may not be empty."""
-        fit = lay_on(find_voxels(self._voxels), surfaces, T_map_led)
+        fit = lay_on(self._voxels.rows, surfaces, T_map_led)
         moved = invert(T_map_led) @ fit.T_target_source
         near = distance_m(moved) < SETTLED_M and rotation_angle_rad(moved) < SETTLED_RAD
         return Alignment(fit, bool(fit.rests and near and fit.support > 0.0))

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+import small_gicp
 
 from sl3d_slam.geometry import surface_fit
-from sl3d_slam.geometry.robust_gicp import FLATNESS, normal_equations, voxels_of
+from sl3d_slam.geometry.gaussian_voxels import FLATNESS, GaussianVoxels, Surfaces
+from sl3d_slam.geometry.robust_gicp import normal_equations
 from sl3d_slam.geometry.se3 import distance_m, exp, invert, rotation_angle_rad, transform_points
 from sl3d_slam.odometry.surface_map import SurfaceMap
 from sl3d_slam.odometry.surfaces import surfaces_of
@@ -15,16 +17,12 @@ WIDTH = 0.7
 
 
 def random_planes(rng, count=30):
-    """Return (V, 4) means and (V, 16) covariances of voxels of a metre, none sharing one."""
+    """Return (V, 3) means and normals of voxels of a metre, none sharing one."""
     corners = rng.permutation(
         np.stack(np.meshgrid(*[np.arange(-3, 3)] * 3), axis=-1).reshape(-1, 3)
     )
-    means = np.ones((count, 4))
-    means[:, :3] = corners[:count] + rng.uniform(0.2, 0.8, (count, 3))
-    covariances = np.zeros((count, 4, 4))
-    for row, normal in enumerate(unit_vectors(rng, count)):
-        covariances[row, :3, :3] = np.eye(3) - FLATNESS * np.outer(normal, normal)
-    return means, covariances.reshape(count, 16)
+    means = corners[:count] + rng.uniform(0.2, 0.8, (count, 3))
+    return means, unit_vectors(rng, count)
 
 
 def unit_vectors(rng, count):
@@ -41,7 +39,7 @@ def oracle(points, normals, means, covariances, pose, width):
         rows.append(int(found[0]) if len(found) else -1)
         turned = pose[:3, :3] @ n
         spread = np.eye(3) - FLATNESS * np.outer(turned, turned)
-        infos.append(np.linalg.inv(covariances[rows[-1]].reshape(4, 4)[:3, :3] + spread))
+        infos.append(np.linalg.inv(covariances[rows[-1]] + spread))
     met = [k for k, row in enumerate(rows) if row >= 0]
 
     def residual(k, step):
@@ -65,11 +63,13 @@ def oracle(points, normals, means, covariances, pose, width):
 
 
 def test_equations_are_the_derivatives_of_the_robust_cost(rng):
-    means, covariances = random_planes(rng)
-    on_map = means[rng.integers(0, len(means), 60), :3] + 0.3 * rng.standard_normal((60, 3))
+    means, map_normals = random_planes(rng)
+    covariances = [np.eye(3) - FLATNESS * np.outer(normal, normal) for normal in map_normals]
+    on_map = means[rng.integers(0, len(means), 60)] + 0.3 * rng.standard_normal((60, 3))
     points, normals = transform_points(invert(POSE), on_map), unit_vectors(rng, 60)
-    voxels = voxels_of(means, covariances, 1.0)
-    found = normal_equations(points, normals, voxels, POSE, 1.0, WIDTH)
+    voxels = GaussianVoxels()
+    voxels.insert(Surfaces(means, map_normals), np.eye(4))
+    found = normal_equations(points, normals, voxels.rows, POSE, WIDTH)
     hessian, gradient, cost, weight, met = oracle(points, normals, means, covariances, POSE, WIDTH)
     assert 20 < met < 60  # and some fall into no voxel
     np.testing.assert_allclose(found[0], hessian, rtol=1e-5, atol=1e-5 * np.abs(hessian).max())
@@ -151,3 +151,26 @@ def test_surfaces_that_meet_nothing_stay_where_they_were_led(rng):
     np.testing.assert_allclose(found.fit.T_target_source, far, atol=1e-9)
     assert not found.settled
     assert (found.fit.misfit, found.fit.support) == (0.0, 0.0)
+
+
+def test_voxels_are_those_that_small_gicp_keeps(rng):
+    """Over sixty scans of a drive, means, covariances and what has been forgotten."""
+    ours, theirs = GaussianVoxels(memory=25), small_gicp.GaussianVoxelMap(1.0)
+    theirs.set_lru(horizon=25, clear_cycle=10)
+    pose, sizes = POSE, []
+    for _ in range(60):
+        scan = street(invert(POSE) @ pose, rng)
+        cloud, _ = small_gicp.preprocess_points(scan, 0.5, num_threads=1)
+        ours.insert(Surfaces.of(cloud), pose)
+        theirs.insert(cloud, pose)
+        pose = pose @ STEP
+        sizes.append(len(ours))
+    assert len(ours) == theirs.size()
+    assert sizes[-1] < max(sizes)
+    means = theirs.voxel_points()[:, :3]
+    covariances = np.array(theirs.voxel_covs()).reshape(-1, 4, 4)[:, :3, :3]
+    order, expected = (np.lexsort(m.T) for m in (ours.rows.means[: len(ours)], means))
+    np.testing.assert_allclose(ours.rows.means[order], means[expected], atol=1e-9)
+    row, column = np.triu_indices(3)
+    upper = covariances[expected][:, row, column]
+    np.testing.assert_allclose(ours.rows.covariances[order], upper, atol=1e-9)
