@@ -29,6 +29,7 @@ bench = typer.Typer(
     cls=Verbs,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
     help="Compare this package with its peers; tables and pictures in --out.",
 )
 bench.command("lines")(lines)

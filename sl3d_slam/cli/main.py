@@ -1,7 +1,8 @@
 """The ``sl3d`` command: its verbs, one small file each.
 
 A verb's file imports nothing but typer and the standard library at its top, so that
-``sl3d --help`` answers at once; what the verb needs it imports when it runs.
+``sl3d --help`` answers at once; what the verb needs it imports when it runs. Help is plain text:
+loading rich would take as long as all the rest.
 """
 
 import os
@@ -31,7 +32,8 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 app.command("map")(map_)
 app.command()(loops)

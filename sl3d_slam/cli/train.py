@@ -14,6 +14,7 @@ train = typer.Typer(
     cls=Verbs,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
     help="Train the line network: synthetic shapes, automatic labels, then lines and descriptors.",
 )
 train.command("synthetic")(synthetic)

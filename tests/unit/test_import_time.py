@@ -6,7 +6,7 @@ import sys
 import pytest
 
 HEAVY = ("torch", "gtsam", "open3d", "numba", "matplotlib", "kiss_icp", "small_gicp", "rerun")
-LIGHT_HELP = (*HEAVY, "scipy", "numpy", "yaml")
+LIGHT_HELP = (*HEAVY, "scipy", "numpy", "yaml", "rich")
 
 
 def modules_after(statements):
