@@ -22,7 +22,7 @@ from sl3d_slam.types import LoopConstraint, Rejection
 from sl3d_slam.verifying import Candidates, verify
 from sl3d_slam.viewing import view_of
 
-VIEWS_TO_TRIM = 64
+VIEWS_TO_TRIM = 32
 
 
 class Made(NamedTuple):

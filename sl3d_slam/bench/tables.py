@@ -129,7 +129,14 @@ def machine() -> str:
     """Return processor, cores, load and system as one line; a loaded machine tells no times."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     load = os.getloadavg()[0]
-    return f"{_processor()}, {cores} cores in use, load {load:.1f}, {platform.platform()}"
+    return f"{_processor()}, {cores} cores in use, load {load:.1f}, {_system()}"
+
+
+def _system() -> str:
+    try:
+        return platform.freedesktop_os_release()["PRETTY_NAME"]
+    except (OSError, KeyError):  # not Linux
+        return platform.platform()
 
 
 def _processor() -> str:
