@@ -65,7 +65,7 @@ class SlamPipeline:
         return self._work.is_ready
 
     def get_ready(self) -> None:
-        """Compile what has not been compiled on this machine yet, for about half a minute.
+        """Compile what has not been compiled on this machine yet, for a minute or two.
 
         Without this the first scans wait for it.
         """

@@ -1,6 +1,6 @@
 """A made-up street corner, on which everything that is compiled runs once before the first scan.
 
-The first run on a machine compiles for about half a minute; what is compiled is kept beside the
+The first run on a machine compiles for a minute or two; what is compiled is kept beside the
 package, or where ``NUMBA_CACHE_DIR`` says.
 """
 

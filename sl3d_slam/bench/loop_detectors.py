@@ -59,9 +59,10 @@ PEERS = ("map-closures",)
 
 def our_loops(config: SlamConfig, scans: Iterable[Scan]) -> list[Detection]:
     """Return every candidate that this package's pipeline verified on its way."""
+    from sl3d_slam.beside import spare_processors
     from sl3d_slam.pipeline import SlamPipeline
 
-    slam = SlamPipeline(config)
+    slam = SlamPipeline(config, workers=min(1, spare_processors()))
     for scan in scans:
         slam.process(scan)
     return [as_detection(record) for record in slam.finish().loops]

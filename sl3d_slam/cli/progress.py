@@ -9,7 +9,7 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-COMPILING = "sl3d: getting ready; the first run on a machine compiles for half a minute"
+COMPILING = "sl3d: getting ready; the first run on a machine compiles for a minute or two"
 SHOW_AFTER_S = 2.0
 NOTICE_AFTER_S = 4.0
 LINE_EVERY_S = 10.0

@@ -1,5 +1,9 @@
 """The layer over lines: what it hears, and that lines which look alike are then told apart."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -191,3 +195,29 @@ def test_the_verb_leaves_weights_that_extraction_uses(sl3d, tmp_path):
     again = sl3d("train", "surroundings", out, town, "--out", out)
     assert again.returncode != 0
     assert "went through sl3d train surroundings before" in again.stderr
+
+
+def test_descriptors_are_the_same_to_the_bit_whatever_the_number_of_blas_threads():
+    program = """
+import sys
+import numpy as np
+from sl3d_slam.lines.network.surroundings import in_surroundings
+rng = np.random.default_rng(3)
+descriptors, tensors = rng.standard_normal((128, 16)).astype(np.float32), {
+    "surroundings.weight": rng.standard_normal((16, 96)).astype(np.float32),
+    "surroundings.bias": np.zeros(16, np.float32),
+}
+places, scores = rng.uniform(-40, 40, (128, 2)), rng.uniform(0, 1, 128)
+sys.stdout.buffer.write(in_surroundings(descriptors, places, scores, tensors).tobytes())
+"""
+    one, two = (
+        subprocess.run(
+            [sys.executable, "-c", program],
+            env=os.environ | {"OPENBLAS_NUM_THREADS": threads},
+            stdout=subprocess.PIPE,
+            check=True,
+        ).stdout
+        for threads in "12"
+    )
+    assert len(one) == 128 * 16 * 4
+    assert one == two

@@ -2,6 +2,9 @@
 
 A point's features reach some ten metres, and trunks in a row look alike. What stands near and far
 around them does not.
+
+Products are einsum's: on some processors BLAS adds up in an order that its number of threads
+decides, and a drive would be another one with each.
 """
 
 import numpy as np
@@ -34,7 +37,8 @@ def heard_around(
     for radius_m, width_m in RINGS_M:
         weight = scores[None] * np.exp(-0.5 * ((apart_m - radius_m) / width_m) ** 2)
         np.fill_diagonal(weight, 0.0)
-        parts.append(weight @ descriptors / (PRIOR + weight.sum(axis=1, keepdims=True)))
+        heard = np.einsum("ij,jd->id", weight, descriptors)
+        parts.append(heard / (PRIOR + weight.sum(axis=1, keepdims=True)))
     return np.concatenate(parts, axis=1).astype(np.float32)
 
 
@@ -46,6 +50,7 @@ def in_surroundings(
 ) -> Float32[np.ndarray, "L D"]:
     """Return the unit descriptors that the layer of these weights makes of mean ones."""
     heard = heard_around(descriptors, places_m, scores)
-    values = heard @ tensors["surroundings.weight"].T + tensors["surroundings.bias"]
+    values = np.einsum("le,de->ld", heard, tensors["surroundings.weight"])
+    values += tensors["surroundings.bias"]
     lengths = np.linalg.norm(values, axis=1, keepdims=True)
     return np.asarray(values / np.maximum(lengths, 1e-12), np.float32)
