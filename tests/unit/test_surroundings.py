@@ -203,11 +203,11 @@ import sys
 import numpy as np
 from sl3d_slam.lines.network.surroundings import in_surroundings
 rng = np.random.default_rng(3)
-descriptors, tensors = rng.standard_normal((128, 16)).astype(np.float32), {
-    "surroundings.weight": rng.standard_normal((16, 96)).astype(np.float32),
-    "surroundings.bias": np.zeros(16, np.float32),
+descriptors, tensors = rng.standard_normal((150, 64)).astype(np.float32), {
+    "surroundings.weight": rng.standard_normal((64, 384)).astype(np.float32),
+    "surroundings.bias": np.zeros(64, np.float32),
 }
-places, scores = rng.uniform(-40, 40, (128, 2)), rng.uniform(0, 1, 128)
+places, scores = rng.uniform(-40, 40, (150, 2)), rng.uniform(0, 1, 150)
 sys.stdout.buffer.write(in_surroundings(descriptors, places, scores, tensors).tobytes())
 """
     one, two = (
@@ -219,5 +219,5 @@ sys.stdout.buffer.write(in_surroundings(descriptors, places, scores, tensors).to
         ).stdout
         for threads in "12"
     )
-    assert len(one) == 128 * 16 * 4
+    assert len(one) == 150 * 64 * 4
     assert one == two
