@@ -20,7 +20,7 @@ from sl3d_slam.bench.tables import Column, Table, write_tables
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
 from sl3d_slam.files import prepare_run_folder
-from sl3d_slam.geometry.se3 import exp, invert, log
+from sl3d_slam.geometry.se3 import distances_travelled_m, exp, invert, log
 from sl3d_slam.graph.final import PoseCovariances, odometry_edges
 from sl3d_slam.graph.noise import Matrix6
 from sl3d_slam.io.dataset import Dataset
@@ -139,8 +139,7 @@ def loop_errors(
 def _pairs(scans: Sequence[int], truth: np.ndarray, what: CovarianceBench) -> np.ndarray:
     """Return (target, query) scans near each other that lie apart on the way."""
     positions = truth[:, :3, 3]
-    steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    way_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    way_m = distances_travelled_m(positions)
     pairs = [
         (target, query)
         for query in scans

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sl3d_slam.bench.peers import importing
-from sl3d_slam.bench.systems import OURS, point_times_s
+from sl3d_slam.bench.systems import OURS, OurSystem, point_times_s
 from sl3d_slam.config import SlamConfig
 from sl3d_slam.errors import InputError
 from sl3d_slam.geometry.se3 import Transform, distance_m, invert
@@ -59,13 +59,10 @@ PEERS = ("map-closures",)
 
 def our_loops(config: SlamConfig, scans: Iterable[Scan]) -> list[Detection]:
     """Return every candidate that this package's pipeline verified on its way."""
-    from sl3d_slam.beside import spare_processors
-    from sl3d_slam.pipeline import SlamPipeline
-
-    slam = SlamPipeline(config, workers=min(1, spare_processors()))
+    system = OurSystem(config)
     for scan in scans:
-        slam.process(scan)
-    return [as_detection(record) for record in slam.finish().loops]
+        system.process(scan)
+    return [as_detection(record) for record in system.finish()().loops]
 
 
 def as_detection(record: LoopRecord) -> Detection:

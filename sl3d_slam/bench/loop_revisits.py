@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import cKDTree
 
-from sl3d_slam.geometry.se3 import Transform, transform_points
+from sl3d_slam.geometry.se3 import Transform, distances_travelled_m, transform_points
 from sl3d_slam.mapping.voxels import voxel_keys
 from sl3d_slam.types import Scan
 
@@ -36,8 +36,7 @@ class Revisits:
 def find_revisits(truth: Poses) -> Revisits:
     """Return all pairs of scans within 4 m with at least 40 m of travel between."""
     positions = truth[:, :3, 3]
-    steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    travelled_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    travelled_m = distances_travelled_m(positions)
     near = cKDTree(positions).query_pairs(REVISIT_M, output_type="ndarray").astype(np.int64)
     near = np.sort(near.reshape(-1, 2), axis=1)[:, ::-1]
     pairs = near[travelled_m[near[:, 0]] - travelled_m[near[:, 1]] >= MIN_TRAVEL_M]

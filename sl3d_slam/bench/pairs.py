@@ -9,7 +9,13 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from sl3d_slam.errors import InputError
-from sl3d_slam.geometry.se3 import Transform, invert, make_transform, nearest_rotation
+from sl3d_slam.geometry.se3 import (
+    Transform,
+    distances_travelled_m,
+    invert,
+    make_transform,
+    nearest_rotation,
+)
 
 DISTANCE_TOLERANCE_M = 1.0
 DETOUR_FACTOR, DETOUR_M = 1.5, 10.0
@@ -58,8 +64,7 @@ def pairs_at_distance(
     for poses that drift.
     """
     positions = poses[:, :3, 3]
-    steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    travelled_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    travelled_m = distances_travelled_m(positions)
     found = []
     for source in range(len(poses)):
         apart_m = np.linalg.norm(positions[source + 1 :] - positions[source], axis=1)

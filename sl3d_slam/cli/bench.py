@@ -22,14 +22,10 @@ from sl3d_slam.cli.bench_options import (
     show,
 )
 from sl3d_slam.cli.bench_relocalize import relocalize
-from sl3d_slam.cli.errors import Verbs
+from sl3d_slam.cli.errors import make_verbs
 from sl3d_slam.cli.options import ConfigOption, DatasetOption, QuietOption, SetOption
 
-bench = typer.Typer(
-    cls=Verbs,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
+bench = make_verbs(
     help="Compare this package with its peers; tables and pictures in --out.",
 )
 bench.command("lines")(lines)

@@ -1,4 +1,4 @@
-"""The one place where an error becomes an exit status and a sentence."""
+"""Groups of verbs: the one place where an error becomes an exit status and a sentence."""
 
 from typing import Any
 
@@ -9,6 +9,17 @@ from sl3d_slam.errors import Sl3dError
 
 WRONG_INPUT = 2
 INTERRUPTED = 130
+
+
+def make_verbs(**options: Any) -> typer.Typer:
+    """Return an application of verbs, with plain help: rich would double the time it takes."""
+    return typer.Typer(
+        cls=Verbs,
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        **options,
+    )
 
 
 class Verbs(TyperGroup):

@@ -1,8 +1,7 @@
 """The ``sl3d`` command: its verbs, one small file each.
 
 A verb's file imports nothing but typer and the standard library at its top, so that
-``sl3d --help`` answers at once; what the verb needs it imports when it runs. Help is plain text:
-loading rich would take as long as all the rest.
+``sl3d --help`` answers at once; what the verb needs it imports when it runs.
 """
 
 import os
@@ -14,7 +13,7 @@ from sl3d_slam import __version__
 from sl3d_slam.cli.bench import bench
 from sl3d_slam.cli.config import config
 from sl3d_slam.cli.demo import demo
-from sl3d_slam.cli.errors import Verbs
+from sl3d_slam.cli.errors import make_verbs
 from sl3d_slam.cli.export import export
 from sl3d_slam.cli.info import info
 from sl3d_slam.cli.lines import lines
@@ -27,12 +26,8 @@ from sl3d_slam.cli.simulate import simulate
 from sl3d_slam.cli.train import train
 from sl3d_slam.cli.view import view
 
-app = typer.Typer(
-    cls=Verbs,
-    no_args_is_help=True,
+app = make_verbs(
     add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 app.command("map")(map_)

@@ -36,6 +36,12 @@ def rotation_angle_rad(T_a_b: Transform) -> float:
     return float(Rotation.from_matrix(T_a_b[:3, :3]).magnitude())
 
 
+def distances_travelled_m(path: Points) -> Float64[np.ndarray, "N"]:
+    """Return how far it is along a path to each of its points, 0 at the first."""
+    steps_m = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps_m)])
+
+
 def distance_m(T_a_b: Transform) -> float:
     """Return the length of the translation part."""
     return float(np.linalg.norm(T_a_b[:3, 3]))

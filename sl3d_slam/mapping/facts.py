@@ -7,6 +7,7 @@ from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
 from sl3d_slam.geometry.geodesy import GeoReference
+from sl3d_slam.geometry.se3 import distances_travelled_m
 from sl3d_slam.mapping.file import VERSION, to_bytes
 from sl3d_slam.mapping.line_map import LineMap
 from sl3d_slam.types import LineKind
@@ -80,7 +81,7 @@ def street_steps(
     if len(positions) < 2:
         return np.zeros(0), np.zeros(0, np.bool_)
     steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    way_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    way_m = distances_travelled_m(positions)
     pairs = cKDTree(positions[:, :2]).query_pairs(REVISIT_M, output_type="ndarray")
     later = pairs.max(axis=1)[np.abs(way_m[pairs[:, 1]] - way_m[pairs[:, 0]]) > LOOP_M]
     known = np.zeros(len(positions), np.bool_)

@@ -10,6 +10,7 @@ from sl3d_slam.geometry.se3 import (
     Points,
     Transform,
     distance_m,
+    distances_travelled_m,
     invert,
     make_transform,
     nearest_rotation,
@@ -73,8 +74,7 @@ def kitti_errors(estimate: Poses, truth: TruePoses) -> tuple[float, float] | Non
         when the two do not pair one to one, or are empty.
     """
     _check_pairs(estimate, truth)
-    steps_m = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1)
-    travelled_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    travelled_m = distances_travelled_m(truth[:, :3, 3])
     translation, rotation = [], []
     for first in range(0, len(truth), KITTI_STEP):
         for length_m in KITTI_LENGTHS_M:

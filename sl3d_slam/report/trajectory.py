@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from sl3d_slam.geometry.se3 import Points, transform_points
+from sl3d_slam.geometry.se3 import Points, distances_travelled_m, transform_points
 from sl3d_slam.report.metrics import Poses, align
 from sl3d_slam.report.style import (
     BLACK,
@@ -127,5 +127,4 @@ def _draw_heights(axes: Any, paths: dict[str, Points], at: Float64[np.ndarray, "
 
 
 def _travelled_km(path: Points) -> Float64[np.ndarray, "N"]:
-    steps_m = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps_m)]) / 1000.0
+    return distances_travelled_m(path) / 1000.0
