@@ -16,11 +16,11 @@ from sl3d_slam.graph.pose_graph import PoseGraph
 from sl3d_slam.journal import Journal
 from sl3d_slam.loops.triangle_table import must_compile
 from sl3d_slam.mapping.line_map import LineMap, MapOrigin
-from sl3d_slam.memory import give_back
+from sl3d_slam.memory import keep_large_arrays_apart
 from sl3d_slam.rehearsal import rehearse_constellations
 from sl3d_slam.run import StageTimes
 from sl3d_slam.types import Keyframe, LoopConstraint, LoopRecord, Rejection
-from sl3d_slam.worker import VIEWS_TO_TRIM, Made, Verified
+from sl3d_slam.worker import Made, Verified
 
 # keyframes from a search to its effect, so that it may be done beside odometry: with two views in
 # the queue before it, it is over when the third one's is made
@@ -87,6 +87,7 @@ class KeyframeWork:
 
     def get_ready(self) -> None:
         """Compile what a first run on a machine must compile, and load it."""
+        keep_large_arrays_apart()
         if must_compile():
             self._beside.compile()
         rehearse_constellations()
@@ -97,8 +98,6 @@ class KeyframeWork:
         kept = self._closer.has_view(keyframe.id)
         view = None if kept else self._beside.make_view(keyframe.points_lidar)
         self._opened.append(_Opened(keyframe.id, scan_index, keyframe.T_odom_lidar, view))
-        if keyframe.id % VIEWS_TO_TRIM == 0:
-            give_back()
 
     def go_on(self) -> None:
         """Take up the keyframes whose views are made; wait where more than a few are open.

@@ -16,13 +16,11 @@ from sl3d_slam.errors import Sl3dError
 from sl3d_slam.geometry.se3 import Points
 from sl3d_slam.lines.extract import LineExtractor
 from sl3d_slam.matching.views import pack, to_bytes
-from sl3d_slam.memory import give_back
+from sl3d_slam.memory import keep_large_arrays_apart
 from sl3d_slam.rehearsal import rehearse_constellations, rehearse_keyframes
 from sl3d_slam.types import LoopConstraint, Rejection
 from sl3d_slam.verifying import Candidates, verify
 from sl3d_slam.viewing import view_of
-
-VIEWS_TO_TRIM = 32
 
 
 class Made(NamedTuple):
@@ -45,7 +43,6 @@ class Workbench:
 
     def __init__(self, config: SlamConfig) -> None:
         self._config = config
-        self._num_views = 0
 
     @cached_property
     def extractor(self) -> LineExtractor:
@@ -60,9 +57,6 @@ class Workbench:
         """Make a packed view."""
         start_s = time.perf_counter()
         raw = to_bytes(pack(view_of(points_lidar, self.extractor, self._config)))
-        self._num_views += 1
-        if self._num_views % VIEWS_TO_TRIM == 0:
-            give_back()
         return Made(raw, time.perf_counter() - start_s, self.extractor.model)
 
     def verify(self, candidates: Candidates) -> Verified:
@@ -79,6 +73,7 @@ def begin(config: SlamConfig) -> None:
     """Set up a worker process: Ctrl-C is its parent's business, and so is its life."""
     global _workbench
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    keep_large_arrays_apart()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _workbench = Workbench(config)
 

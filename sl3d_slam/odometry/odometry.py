@@ -72,9 +72,7 @@ class Odometry:
 
         ``T_known`` is what an earlier run found for this scan; it is then not looked for again.
         """
-        points = self._preprocessor.preprocess(
-            scan.points_lidar, _usable_times(scan), self._T_last_next
-        )
+        points = self._deskewed(scan)
         map_points = first_in_voxels(points, 0.5 * self._voxel_size_m)
         surfaces = surfaces_of(map_points) if self._refines else None
         guess = self._T_odom_last @ self._T_last_next
@@ -89,6 +87,13 @@ class Odometry:
         self._T_last_next = invert(self._T_odom_last) @ T_odom_lidar
         self._T_odom_last = T_odom_lidar
         return RegisteredScan(scan.index, scan.stamp_s, points, T_odom_lidar, self._covariance)
+
+    def _deskewed(self, scan: Scan) -> Points:
+        """Move the points to where they were at the time of the last; without times they stay."""
+        times_s = scan.point_times_s
+        if times_s is None or np.ptp(times_s) <= 0.0:
+            return scan.points_lidar
+        return self._preprocessor.preprocess(scan.points_lidar, times_s, self._T_last_next)
 
     def _find_pose(
         self, map_points: Points, surfaces: Surfaces | None, guess: Transform
@@ -159,14 +164,6 @@ class Odometry:
             if gap_m < START_GAIN * best_gap_m:
                 best, best_gap_m = T_odom_lidar, gap_m
         return best
-
-
-def _usable_times(scan: Scan) -> Float64[np.ndarray, "M"]:
-    """Return the point times, or none where they do not tell points apart."""
-    times_s = scan.point_times_s
-    if times_s is None or np.ptp(times_s) <= 0.0:
-        return np.empty(0)
-    return times_s
 
 
 def _on_grid(T_a_b: Transform) -> Transform:
