@@ -83,7 +83,6 @@ def _relocalize(out: Path, drive: "Drive", seed: int, console: Any) -> int:
         rotation_angle_rad,
         transform_points,
     )
-    from sl3d_slam.io.trajectory import read_tum
     from sl3d_slam.mapping.line_map import LineMap
     from sl3d_slam.relocalization.relocalizer import Relocalizer
     from sl3d_slam.report.pictures import draw_relocalization
@@ -110,7 +109,7 @@ def _relocalize(out: Path, drive: "Drive", seed: int, console: Any) -> int:
         )
         picture = draw_relocalization(
             line_map.lines,
-            read_tum(out / "poses_tum.txt"),
+            line_map.T_map_keyframe,
             points,
             answer.T_map_lidar,
             T_map_true,

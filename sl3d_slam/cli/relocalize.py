@@ -8,7 +8,11 @@ import typer
 from sl3d_slam.cli.options import ConfigOption, JsonOption, QuietOption, SetOption
 
 if TYPE_CHECKING:
+    from sl3d_slam.config import SlamConfig
+    from sl3d_slam.mapping.line_map import LineMap
     from sl3d_slam.types import Relocalization
+
+    Answer = tuple[list[Path], Relocalization]
 
 
 def relocalize(
@@ -16,6 +20,10 @@ def relocalize(
     scans: Annotated[
         list[Path], typer.Argument(metavar="SCAN...", help=".bin, .pcd or .ply files.")
     ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE.png", help="Draw the last scan found in the map."),
+    ] = None,
     window: Annotated[
         int,
         typer.Option(
@@ -31,30 +39,18 @@ def relocalize(
 
     With --window N, the scans are a drive in order: odometry joins each N of them.
     """
-    from sl3d_slam.cli.progress import COMPILING, Meter, notice
     from sl3d_slam.config import load_config
-    from sl3d_slam.errors import InputError
-    from sl3d_slam.io.open import read_scan
+    from sl3d_slam.files import prove_writable
     from sl3d_slam.mapping.line_map import LineMap
-    from sl3d_slam.relocalization.relocalizer import Relocalizer
 
     settings = load_config(config, overrides or ())
+    if out is not None:
+        prove_writable(out, (".png",))
     loaded = LineMap.load(line_map)
-    try:
-        relocalizer = Relocalizer(loaded, settings)
-    except InputError as error:
-        raise InputError(f"{line_map}: {error}") from None
-    answers: list[tuple[list[Path], Relocalization]] = []
-    silent = quiet or json
-    with (
-        notice(COMPILING, lambda: not answers, silent),
-        Meter(len(scans), quiet=silent) as meter,
-    ):
-        for start in range(0, len(scans), window):
-            paths = scans[start : start + window]
-            points = [read_scan(path, settings.input) for path in paths]
-            answers.append((paths, relocalizer.relocalize_window(points)))
-            meter.advance(steps=len(paths))
+    windows = [scans[start : start + window] for start in range(0, len(scans), window)]
+    answers = _ask(line_map, loaded, windows, settings, quiet or json)
+    if out is not None:
+        _draw(out, line_map, loaded, answers, settings)
     if json:
         from json import dumps
 
@@ -64,6 +60,52 @@ def relocalize(
             typer.echo(f"{paths[-1]}: {sentence(answer)}")
     if not all(answer.success for _, answer in answers):
         raise typer.Exit(1)
+
+
+def _ask(
+    path: Path, line_map: "LineMap", windows: list[list[Path]], settings: "SlamConfig", quiet: bool
+) -> "list[Answer]":
+    from sl3d_slam.cli.progress import COMPILING, Meter, notice
+    from sl3d_slam.errors import InputError
+    from sl3d_slam.io.open import read_scan
+    from sl3d_slam.relocalization.relocalizer import Relocalizer
+
+    try:
+        relocalizer = Relocalizer(line_map, settings)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    answers: list[Answer] = []
+    with (
+        notice(COMPILING, lambda: not answers, quiet),
+        Meter(sum(map(len, windows)), quiet=quiet) as meter,
+    ):
+        for paths in windows:
+            points = [read_scan(scan, settings.input) for scan in paths]
+            answers.append((paths, relocalizer.relocalize_window(points)))
+            meter.advance(steps=len(paths))
+    return answers
+
+
+def _draw(
+    out: Path, path: Path, line_map: "LineMap", answers: "list[Answer]", settings: "SlamConfig"
+) -> None:
+    """Draw the last scan that was found; nothing where none was."""
+    from sl3d_slam.files import write_whole
+    from sl3d_slam.io.open import read_scan
+    from sl3d_slam.report.pictures import draw_relocalization
+
+    for paths, answer in reversed(answers):
+        if answer.T_map_lidar is not None:
+            scan = paths[-1]
+            picture = draw_relocalization(
+                line_map.lines,
+                line_map.T_map_keyframe,
+                read_scan(scan, settings.input),
+                answer.T_map_lidar,
+                title=f"{scan.name} in {path.name}",
+            )
+            write_whole(out, picture)
+            return
 
 
 def sentence(answer: "Relocalization") -> str:

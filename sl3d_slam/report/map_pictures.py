@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
 
 from sl3d_slam.geometry.se3 import Points, Transform, distance_m, invert, transform_points
 from sl3d_slam.report.line_drawing import draw_plan_lines
@@ -34,26 +35,31 @@ def draw_map(lines: LineSet, trajectory: Trajectory, title: str) -> bytes:
     with picture_style():
         figure = new_figure(width + 1.0, height + 1.0, title)
         axes = figure.add_subplot()
-        _draw_map_plan(axes, lines, path, window)
+        axes.plot(path[:, 0], path[:, 1], color=BLACK, lw=1.0, zorder=2, label="path driven")
+        axes.plot(*path[0], "o", ms=7, mfc="white", mec=BLACK, zorder=5, label="start")
+        draw_plan_lines(axes, lines)
+        show_window(axes, window)
         axes.legend(loc="best", framealpha=0.9)
         return to_png(figure)
 
 
 def draw_relocalization(
     map_lines: LineSet,
-    trajectory: Trajectory,
+    T_map_keyframe: Float64[np.ndarray, "K 4 4"],
     query_points: Points,
     T_map_lidar: Transform,
     T_truth: Transform | None = None,
     title: str = "",
 ) -> bytes:
     """Return a PNG: where in the map a scan was found, and a close-up of the scan on the lines."""
-    path = trajectory.T_world_lidar[:, :2, 3]
-    window = _bounds(map_lines, path)
+    keyframes = T_map_keyframe[:, :2, 3]
+    window = _bounds(map_lines, keyframes)
     with picture_style():
         figure = new_figure(14.0, 7.0, title)
         plan, close = figure.subplots(1, 2)
-        _draw_map_plan(plan, map_lines, path, window)
+        plan.plot(*keyframes.T, ".", ms=2, color=BLACK, zorder=2, label="keyframes")
+        draw_plan_lines(plan, map_lines)
+        show_window(plan, window)
         plan.set_title("in the whole map")
         _draw_close_up(close, map_lines, transform_points(T_map_lidar, query_points), T_map_lidar)
         for axes, length_m in ((plan, 0.06 * float((window[1] - window[0]).max())), (close, 6.0)):
@@ -72,13 +78,6 @@ def draw_pose(axes: Any, T_map_lidar: Transform, length_m: float, colour: str, l
     tip = at + length_m * T_map_lidar[:2, 0]
     arrow = {"arrowstyle": "-|>", "color": colour, "lw": 2.2, "shrinkA": 5, "shrinkB": 0}
     axes.annotate("", xy=tuple(tip), xytext=tuple(at), arrowprops=arrow, zorder=8)
-
-
-def _draw_map_plan(axes: Any, lines: LineSet, path: Plane, window: Window) -> None:
-    axes.plot(path[:, 0], path[:, 1], color=BLACK, lw=1.0, zorder=2, label="path driven")
-    axes.plot(path[0, 0], path[0, 1], "o", ms=7, mfc="white", mec=BLACK, zorder=5, label="start")
-    draw_plan_lines(axes, lines)
-    show_window(axes, window)
 
 
 def _draw_close_up(axes: Any, lines: LineSet, points_map: Points, T_map_lidar: Transform) -> None:

@@ -96,6 +96,19 @@ def test_one_found_scan_is_status_0_and_a_sentence(sl3d, ring_run, ring_dataset,
     assert "confidence" in result.stdout
 
 
+def test_only_a_scan_that_is_found_is_drawn(sl3d, ring_run, ring_dataset, elsewhere, tmp_path):
+    points, _ = turned_scan(ring_dataset, 15, 80.0)
+    known, strange = (tmp_path / name for name in ("known.png", "strange.png"))
+    line_map = ring_run / "map.sl3d"
+    asked = write_bin(tmp_path / "a.bin", points), write_bin(tmp_path / "b.bin", elsewhere)
+    assert sl3d("relocalize", line_map, *asked, "--out", known).returncode == 1
+    assert known.read_bytes().startswith(b"\x89PNG")
+    assert sl3d("relocalize", line_map, asked[1], "--out", strange).returncode == 1
+    assert not strange.exists()
+    wrong = sl3d("relocalize", line_map, asked[0], "--out", tmp_path / "a.svg")
+    assert (wrong.returncode, ".png" in wrong.stderr) == (2, True)
+
+
 def test_two_scans_are_registered_from_the_command_line(sl3d, ring_dataset, tmp_path):
     (target,) = ring_dataset.iterate(10, 11)
     points, T_map_turned = turned_scan(ring_dataset, 12, 120.0)

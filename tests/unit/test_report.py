@@ -160,12 +160,12 @@ def count_reddish(png):
 
 
 def test_relocalization_shows_the_true_pose_only_where_it_is_known(rng):
-    run, lines = trajectory(loop_drive()), lines_of(LineKind.VERTICAL_EDGE, rng)
-    T_map_lidar = run.T_world_lidar[40]
+    T_map_keyframe, lines = loop_drive(), lines_of(LineKind.VERTICAL_EDGE, rng)
+    T_map_lidar = T_map_keyframe[40]
     points = rng.uniform(-40, 40, (2000, 3))
     T_truth = T_map_lidar @ from_yaw(0.3, np.array([5.0, 2.0, 0.0]))
-    known = draw_relocalization(lines, run, points, T_map_lidar, T_truth, "simulated")
-    unknown = draw_relocalization(lines, run, points, T_map_lidar)
+    known = draw_relocalization(lines, T_map_keyframe, points, T_map_lidar, T_truth, "simulated")
+    unknown = draw_relocalization(lines, T_map_keyframe, points, T_map_lidar)
     assert count_pixels(known, PURPLE) > 100
     assert count_pixels(unknown, PURPLE) == 0
 
