@@ -27,10 +27,11 @@ T = TypeVar("T")
 SPAWN = multiprocessing.get_context("spawn")
 
 
-def spare_processors() -> int:
-    """Return how many processors this process may use besides one."""
+def default_workers() -> int:
+    """Return one worker, or none where this process may use but one processor."""
     affinity = getattr(os, "sched_getaffinity", None)  # not on macOS
-    return (len(affinity(0)) if affinity else os.cpu_count() or 1) - 1
+    processors = len(affinity(0)) if affinity else os.cpu_count() or 1
+    return min(1, processors - 1)
 
 
 class Beside:

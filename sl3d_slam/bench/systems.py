@@ -45,10 +45,10 @@ class OurSystem:
     """The whole pipeline of this package."""
 
     def __init__(self, config: SlamConfig) -> None:
-        from sl3d_slam.beside import spare_processors
+        from sl3d_slam.beside import default_workers
         from sl3d_slam.pipeline import SlamPipeline
 
-        self._slam = SlamPipeline(config, workers=min(1, spare_processors()))
+        self._slam = SlamPipeline(config, workers=default_workers())
         self._slam.get_ready()
 
     def process(self, scan: Scan) -> None:

@@ -110,13 +110,13 @@ def drive_through(opened: "Dataset", mapping: Mapping) -> "Run":
     """Take an opened dataset through the pipeline; say its warnings, show the progress."""
     from contextlib import closing
 
-    from sl3d_slam.beside import spare_processors
+    from sl3d_slam.beside import default_workers
     from sl3d_slam.cli.progress import COMPILING, Meter, notice
     from sl3d_slam.pipeline import SlamPipeline
 
     for warning in opened.warnings:
         typer.echo(f"sl3d: {warning}", err=True)
-    workers = min(1, spare_processors()) if mapping.workers is None else mapping.workers
+    workers = default_workers() if mapping.workers is None else mapping.workers
     total = len(opened) if mapping.scans is None else min(mapping.scans, len(opened))
     pipeline = SlamPipeline(mapping.settings, opened.simulated, workers, mapping.journal)
     with closing(pipeline) as slam, notice(COMPILING, lambda: not slam.is_ready, mapping.quiet):
