@@ -1,4 +1,4 @@
-"""The README's tables say what the benchmarks wrote: the files in ``results/`` are theirs."""
+"""The README's tables say what the benchmarks wrote: the files in ``examples/results/`` are theirs."""
 
 import csv
 import re
@@ -22,7 +22,7 @@ def readme_cells(town, system):
 
 def measured(name, **wanted):
     """Return the one row of a table with these values."""
-    with (ROOT / "results" / name).open(encoding="utf-8", newline="") as file:
+    with (ROOT / "examples" / "results" / name).open(encoding="utf-8", newline="") as file:
         (row,) = [row for row in csv.DictReader(file) if wanted.items() <= row.items()]
     return row
 
