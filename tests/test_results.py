@@ -1,4 +1,4 @@
-"""The README's tables say what the benchmarks wrote: the files in ``examples/results/`` are theirs."""
+"""The README says what benchmarks wrote: the tables in ``examples/results/`` are theirs."""
 
 import csv
 import re
