@@ -2,7 +2,9 @@
 
 Every stored view anywhere in the map takes part; neither the odometry nor the time since plays a
 role. A matched triangle gives a whole planar pose, so false matches scatter over millions of cells
-while the lines of a true revisit agree on one.
+while the lines of a true revisit agree on one. Asked for are the triangles that are stored, those
+of neighbouring lines: with any three lines of a scan asking takes twice as long, and recognises
+288 in place of 290 loops of a simulated town on KITTI 00's roads.
 """
 
 from dataclasses import dataclass
@@ -13,7 +15,7 @@ from jaxtyping import Float64, Int64
 from numba import njit
 
 from sl3d_slam.loops.triangle_table import TriangleTable, corners_of, owner_of, with_room
-from sl3d_slam.loops.triangles import all_triangles, local_triangles
+from sl3d_slam.loops.triangles import local_triangles
 
 NEIGHBOURS = 9
 MAX_LINES = 40
@@ -72,7 +74,7 @@ class ConstellationIndex:
         """Return the best-voted pose in each of the best views with id up to ``newest_view_id``."""
         xy = xy[_strongest(weights)]
         num_old = int(np.searchsorted(self._view_ids[: self._num_views], newest_view_id, "right"))
-        triangles = all_triangles(xy, SIDE_TOLERANCE_M)
+        triangles = local_triangles(xy, NEIGHBOURS, SIDE_TOLERANCE_M)
         alike = self._table.alike(xy, triangles, num_old, SIDE_TOLERANCE_M, MAX_VOTES)
         poses, keys = _lay_all(xy, triangles, *alike, self._xy)
         return _best_per_view(poses, np.sort(keys[keys >= 0]), self._view_ids, limit)

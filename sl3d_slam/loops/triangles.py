@@ -16,11 +16,16 @@ MAX_SIDE_M = 40.0
 Triangles = Int32[np.ndarray, "T 3"]  # rows of the line set: opposite the longest side first
 
 
-def local_triangles(xy: Float64[np.ndarray, "V 2"], neighbours: int) -> Triangles:
-    """Return the triangles of each line with pairs of its nearest lines, each once."""
+def local_triangles(
+    xy: Float64[np.ndarray, "V 2"], neighbours: int, slack_m: float = 0.0
+) -> Triangles:
+    """Return the triangles of each line with pairs of its nearest lines.
+
+    Each comes once; with a slack in every order that nearly equal sides allow.
+    """
     if len(xy) < 3:
         return np.zeros((0, 3), np.int32)
-    return _canonical(xy, _local(xy, min(neighbours, len(xy) - 1)), 0.0)
+    return _canonical(xy, _local(xy, min(neighbours, len(xy) - 1)), slack_m)
 
 
 def all_triangles(xy: Float64[np.ndarray, "V 2"], slack_m: float) -> Triangles:

@@ -69,7 +69,18 @@ def test_one_triangle_by_hand():
 def test_nearly_equal_sides_give_every_order_they_allow():
     xy = np.array([[0.0, 0.0], [10.0, 0.0], [5.0, 8.7]])  # sides 10, 10.03, 10.03
     assert len(all_triangles(xy, 0.35)) == 6
+    assert len(local_triangles(xy, 2, 0.35)) == 6
     assert len(all_triangles(np.array([[0.0, 0.0], [0.0, 6.0], [8.0, 0.0]]), 0.35)) == 1
+
+
+def test_local_triangles_are_those_of_a_line_and_two_of_its_nearest():
+    near = np.array([[0.0, 0.0], [5.0, 0.0], [0.0, 6.0]])
+    xy = np.concatenate([near, np.add(near, [20.0, 21.0])])  # two groups of three, 25 m apart
+    found = {tuple(sorted(corners)) for corners in local_triangles(xy, 2).tolist()}
+    assert found == {(0, 1, 2), (3, 4, 5)}
+    assert len(all_triangles(xy, 0.0)) > 10
+    # whoever has enough neighbours has every triangle, in every order
+    assert shapes(xy, local_triangles(xy, 5, 0.35)) == shapes(xy, all_triangles(xy, 0.35))
 
 
 @pytest.mark.parametrize(
