@@ -53,6 +53,7 @@ class Odometry:
 
     def __init__(self, settings: OdometrySettings, scan_input: InputSettings) -> None:
         config = kiss_config(settings, scan_input)
+        self._input = scan_input
         self._voxel_size_m = settings.voxel_size_m
         self._preprocessor = get_preprocessor(config)
         self._threshold = get_threshold_estimator(config)
@@ -72,7 +73,7 @@ class Odometry:
 
         ``T_known`` is what an earlier run found for this scan; it is then not looked for again.
         """
-        points = self._deskewed(scan)
+        points = self._prepared(scan)
         map_points = first_in_voxels(points, 0.5 * self._voxel_size_m)
         surfaces = surfaces_of(map_points) if self._refines else None
         guess = self._T_odom_last @ self._T_last_next
@@ -88,12 +89,18 @@ class Odometry:
         self._T_odom_last = T_odom_lidar
         return RegisteredScan(scan.index, scan.stamp_s, points, T_odom_lidar, self._covariance)
 
-    def _deskewed(self, scan: Scan) -> Points:
-        """Move the points to where they were at the time of the last; without times they stay."""
+    def _prepared(self, scan: Scan) -> Points:
+        """Leave out what is out of range; move points to where they were at the last one's time.
+
+        Without point times nothing moves, and a scan that is in range already is not copied.
+        """
         times_s = scan.point_times_s
-        if times_s is None or np.ptp(times_s) <= 0.0:
-            return scan.points_lidar
-        return self._preprocessor.preprocess(scan.points_lidar, times_s, self._T_last_next)
+        if times_s is not None and np.ptp(times_s) > 0.0:
+            return self._preprocessor.preprocess(scan.points_lidar, times_s, self._T_last_next)
+        points = np.ascontiguousarray(scan.points_lidar)
+        squared, limits = np.einsum("ij,ij->i", points, points), self._input
+        in_range = (squared > limits.min_range_m**2) & (squared < limits.max_range_m**2)
+        return points if in_range.all() else points.compress(in_range, axis=0)
 
     def _find_pose(
         self, map_points: Points, surfaces: Surfaces | None, guess: Transform

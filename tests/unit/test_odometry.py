@@ -73,6 +73,15 @@ def test_first_scan_is_the_origin_and_its_points_stay():
     assert np.array_equal(result.points_lidar, points[(ranges > 0.5) & (ranges < 60)])
 
 
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_points_out_of_range_are_left_out_of_a_scan_without_times(order):
+    points = room(np.random.default_rng(12))
+    strange = np.array([[0.3, 0.1, 0.0], [0.0, 80.0, 1.0]])  # the vehicle's roof, beyond the limit
+    seen = np.asarray(np.concatenate([strange, points, strange]), order=order)
+    result = Odometry(OdometrySettings(), INPUT).register(Scan(0, 0.0, seen))
+    assert np.array_equal(result.points_lidar, points)
+
+
 def test_two_runs_agree_bit_for_bit():
     rng = np.random.default_rng(5)
     scans = [
