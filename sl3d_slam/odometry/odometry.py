@@ -11,10 +11,9 @@ on a KITTI drive at 14 m/s: 0.06 m found, 1.44 m true), so that one is tried fro
 from typing import TypeGuard
 
 import numpy as np
-from jaxtyping import Float64
 from kiss_icp.mapping import get_voxel_hash_map
 from kiss_icp.preprocess import get_preprocessor
-from kiss_icp.registration import Registration, get_registration
+from kiss_icp.registration import get_registration
 from kiss_icp.threshold import get_threshold_estimator
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -111,24 +110,27 @@ class Odometry:
         difference of a millimetre, unless the vehicle starts to turn or brakes hard. Then the
         surfaces have far to go or do not settle (1 scan in 150), and a full alignment leads them.
         """
-        if self._first_points is None and self._can_refine(surfaces):
-            source = first_in_voxels(map_points, COARSE_SOURCE_VOXELS * self._voxel_size_m)
-            T_odom_led = self._align_within(self._coarse, source, guess)
+        if self._first_points is not None:
+            guess = self._best_start(map_points, surfaces, cKDTree(self._first_points))
+        elif self._can_refine(surfaces):
+            T_odom_led = self._lead(map_points, guess, quickly=True)
             T_odom_lidar, settled = self._refine(surfaces, T_odom_led)
             if settled:
                 return _on_grid(T_odom_lidar)
-        source = first_in_voxels(map_points, SOURCE_VOXELS * self._voxel_size_m)
-        if self._first_points is None:
-            return self._align(source, surfaces, guess)
-        first = cKDTree(self._first_points)
-        return self._best_of_starts(source, surfaces, standing_points(map_points), first)
+        return _on_grid(self._align(map_points, surfaces, guess))
 
-    def _align(self, source: Points, surfaces: Surfaces | None, guess: Transform) -> Transform:
+    def _align(
+        self,
+        map_points: Points,
+        surfaces: Surfaces | None,
+        guess: Transform,
+        quickly: bool = False,
+    ) -> Transform:
         """Align points to points by KISS-ICP, then, where asked, surfaces to surfaces."""
-        T_odom_lidar = self._align_within(self._fine, source, guess)
+        T_odom_lidar = self._lead(map_points, guess, quickly)
         if self._can_refine(surfaces):
             T_odom_lidar, _ = self._refine(surfaces, T_odom_lidar)
-        return _on_grid(T_odom_lidar)
+        return T_odom_lidar
 
     def _can_refine(self, surfaces: Surfaces | None) -> TypeGuard[Surfaces]:
         return surfaces is not None and len(surfaces.points) > 0 and self._surfaces.num_voxels > 0
@@ -144,32 +146,34 @@ class Odometry:
         self._covariance = pose_covariance(found.fit.hessian, found.fit.misfit)
         return found.fit.T_target_source, found.settled
 
-    def _align_within(
-        self, registration: Registration, source: Points, guess: Transform
-    ) -> Transform:
+    def _lead(self, map_points: Points, guess: Transform, quickly: bool) -> Transform:
+        """Align points to points, by a quarter of the points and larger steps where it is quick."""
+        registration = self._coarse if quickly else self._fine
+        voxels = COARSE_SOURCE_VOXELS if quickly else SOURCE_VOXELS
         sigma_m = self._threshold.get_threshold()
         return registration.align_points_to_map(
-            points=source,
+            points=first_in_voxels(map_points, voxels * self._voxel_size_m),
             voxel_map=self._local_map,
             initial_guess=guess,
             max_correspondance_distance=3.0 * sigma_m,
             kernel=sigma_m,
         )
 
-    def _best_of_starts(
-        self,
-        source: Float64[np.ndarray, "S 3"],
-        surfaces: Surfaces | None,
-        standing: Points,
-        first: cKDTree,
+    def _best_start(
+        self, map_points: Points, surfaces: Surfaces | None, first: cKDTree
     ) -> Transform:
-        """Align from standstill and from steps in four directions; standstill wins near ties."""
+        """Try standstill and a step in four directions; standstill wins near ties.
+
+        Quick tries tell which start is right where surfaces follow them, points alone do not.
+        """
+        standing, quickly = standing_points(map_points), self._can_refine(surfaces)
         best, best_gap_m = np.eye(4), np.inf
-        for step in start_positions():
-            T_odom_lidar = self._align(source, surfaces, make_transform(np.eye(3), step))
+        for position in start_positions():
+            start = make_transform(np.eye(3), position)
+            T_odom_lidar = self._align(map_points, surfaces, start, quickly)
             gap_m = mean_gap_m(transform_points(T_odom_lidar, standing), first)
             if gap_m < START_GAIN * best_gap_m:
-                best, best_gap_m = T_odom_lidar, gap_m
+                best, best_gap_m = start, gap_m
         return best
 
 

@@ -12,6 +12,7 @@ from sl3d_slam.geometry.se3 import (
     transform_points,
 )
 from sl3d_slam.odometry.odometry import Odometry
+from sl3d_slam.odometry.starts import start_positions
 from sl3d_slam.types import Scan
 
 INPUT = InputSettings(min_range_m=0.5, max_range_m=60.0)
@@ -176,3 +177,17 @@ def test_second_scan_is_not_held_by_the_rings_on_the_ground():
     result = odometry.register(Scan(1, 0.1, street_of_rings(pose, np.random.default_rng(10))))
     # from standstill the rings leave nothing to be found; a start two metres on finds millimetres
     assert distance_m(invert(pose) @ result.T_odom_lidar) < 0.02
+
+
+def test_second_scan_has_the_covariance_of_the_start_that_won(monkeypatch):
+    pose = from_yaw(0.02, np.array([1.4, 0.05, 0.0]))
+    seen = [street_of_rings(T, np.random.default_rng(10)) for T in (np.eye(4), pose)]
+    results = []
+    for starts in (start_positions(), start_positions()[::-1]):
+        monkeypatch.setattr("sl3d_slam.odometry.odometry.start_positions", starts.copy)
+        odometry = Odometry(OdometrySettings(), INPUT)
+        odometry.register(Scan(0, 0.0, seen[0]))
+        results.append(odometry.register(Scan(1, 0.1, seen[1])))
+    # whichever was tried last says nothing of the pose that is given
+    assert np.allclose(results[0].T_odom_lidar, results[1].T_odom_lidar, atol=1e-4)
+    assert np.allclose(results[0].covariance, results[1].covariance, rtol=0.02)
